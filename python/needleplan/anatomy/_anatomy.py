@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from needleplan.anatomy._file import AnatomyFile, Region, Sphere
+from needleplan.anatomy._breathing import TissueMotion
+from needleplan.anatomy._file import AnatomyFile, AnatomyRegions, Region, Sphere
 from needleplan.anatomy._labels import label_number, read_color_table, read_volume
 from needleplan.anatomy._volume import labels_present
 from needleplan.artifacts import short_html, short_repr
@@ -39,6 +41,12 @@ class Anatomy:
         Numbers of labels by name.
     source : str, optional
         Name of the anatomy file in messages. Default: no name.
+    motion : TissueMotion, optional
+        How the tissue moves by breathing. Default: it is at rest.
+    exhaled : Anatomy, optional
+        The anatomy at the end of an exhalation, as in the file. Default: this anatomy.
+    balls : dict, optional
+        Where balls of the file are at this level of inspiration. Default: where the file has them.
 
     Raises
     ------
@@ -51,13 +59,18 @@ class Anatomy:
     volume: LabelVolume
     names: dict[str, int]
     source: str = ""
+    motion: TissueMotion | None = None
+    exhaled: Anatomy | None = None
+    balls: Mapping[Sphere, Sphere] = field(default_factory=dict)
 
     __repr__ = short_repr
     _repr_html_ = short_html
 
     def __post_init__(self) -> None:
+        if self.exhaled is not None:
+            return  # it was checked
         mistakes: list[Mistake] = []
-        regions = self.file.anatomy
+        regions = self.regions
         aims = zip(regions.aim_keys, ((aim.region,) for aim in regions.aims), strict=True)
         listed: list[tuple[str, tuple[Region, ...]]] = [
             ("obstacles", regions.obstacles), ("outside", regions.outside), *aims, ("entry", (regions.entry,)),
@@ -137,7 +150,44 @@ class Anatomy:
         names = dict(volume.names)
         if file.anatomy.labels:
             names |= read_color_table(folder / file.anatomy.labels)
-        return cls(file, volume, names, source)
+        if file.breathing is None:
+            return cls(file, volume, names, source)
+        exhaled = cls(file, volume, names, source, TissueMotion.read(file.breathing, names, folder))
+        return exhaled.inspired(file.breathing.level) if file.breathing.level else exhaled
+
+    @cached_property
+    def regions(self) -> AnatomyRegions:
+        """The regions of the file; balls are where they are at this level of inspiration."""
+        regions = self.file.anatomy
+
+        def moved(region: Any) -> Any:
+            return self.balls.get(region, region) if isinstance(region, Sphere) else region
+
+        targets = tuple(replace(aim, region=moved(aim.region)) for aim in regions.targets)
+        return replace(regions, target=moved(regions.target), entry=moved(regions.entry), targets=targets)
+
+    def inspired(self, level: float, near_mm: NDArray[np.float64] | None = None) -> Anatomy:
+        """Return the anatomy at a level of inspiration, from 0 at the end of an exhalation to 1.
+
+        Parameters
+        ----------
+        level : float
+            Level of inspiration.
+        near_mm : numpy.ndarray, optional
+            Points in RAS (mm), shape (n, 3), to whose surroundings the volume is cropped. Default: the whole volume.
+
+        Returns
+        -------
+        Anatomy
+        """
+        assert self.motion is not None
+        exhaled = self.exhaled or self
+        regions = exhaled.file.anatomy
+        balls = [each for each in (*(aim.region for aim in regions.aims), regions.entry) if isinstance(each, Sphere)]
+        centers = [each.center_mm for each in balls]
+        volume, places = self.motion.moved(exhaled.volume, level, centers, near_mm)
+        moved = {ball: replace(ball, center_mm=place) for ball, place in zip(balls, places, strict=True)}
+        return replace(exhaled, volume=volume, exhaled=exhaled, balls=moved)
 
     def numbers(self, labels: tuple[str | int, ...]) -> list[int]:
         """Return the numbers of labels."""
@@ -178,7 +228,7 @@ class Anatomy:
 
     def _twice(self) -> Iterator[Mistake]:
         """Yield the mistakes of labels that are named twice, by name and by number, with different meanings."""
-        regions = self.file.anatomy
+        regions = self.regions
         first: dict[int, int] = {}
         for place, each in enumerate(regions.curvature, start=1):
             (number,) = self.numbers((each.label,))
@@ -199,7 +249,7 @@ class Anatomy:
 
     def _overlaps(self) -> list[Mistake]:
         """Return the mistakes of a target or entry region that lies in obstacles or outside."""
-        regions, found = self.file.anatomy, []
+        regions, found = self.regions, []
         for kind, labels in (("obstacles", regions.obstacles), ("outside", regions.outside)):
             closed = self.numbers(labels)
             aims = zip(regions.aim_keys, (aim.region for aim in regions.aims), strict=True)

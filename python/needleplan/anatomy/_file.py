@@ -10,6 +10,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
+from needleplan.anatomy._breathing import Breathing
+from needleplan.anatomy._labels import LabelRule, LabelsRule
 from needleplan.anatomy._limits import SpaceLimits
 from needleplan.artifacts import short_html, short_repr
 from needleplan.config import (
@@ -28,7 +30,6 @@ from needleplan.config import (
     parse_toml,
     raw_of,
     ruled,
-    sequence,
     toml_text,
 )
 from needleplan.errors import Mistake, ScenarioError
@@ -65,31 +66,6 @@ _LENGTH = Number("mm", above=0, at_most=1000)
 _RADIUS = Number("mm", at_least=1, at_most=1e6)
 _COST = Number(at_least=0, at_most=1e9)
 _FAILURE = Number(above=0, at_most=1e9)
-
-
-@dataclass(frozen=True)
-class _Label:
-    """Rule for a label: its name, or its number."""
-
-    def read(self, value: object) -> str | int:
-        """Return the name or number. Raises Violation."""
-        if isinstance(value, int) and not isinstance(value, bool) and 0 <= value <= 65535:
-            return value
-        if isinstance(value, str) and value.strip():
-            return value
-        raise Violation("must be the name of a label, or its number from 0 to 65535", value)
-
-
-@dataclass(frozen=True)
-class _Labels:
-    """Rule for a list of labels."""
-
-    def read(self, value: object) -> tuple[str | int, ...]:
-        """Return the labels as a tuple. Raises Violation."""
-        entries = sequence(value)
-        if entries is None:
-            raise Violation("must be a list of labels", value)
-        return tuple(_Label().read(entry) for entry in entries)
 
 
 _MARGIN = Number("mm", at_least=0, at_most=100)
@@ -135,7 +111,7 @@ class _Region:
         """Return the label or the ball. Raises Violation."""
         if isinstance(value, Sphere):
             return value
-        return build(Sphere, value) if isinstance(value, Mapping) else _Label().read(value)
+        return build(Sphere, value) if isinstance(value, Mapping) else LabelRule().read(value)
 
 
 @dataclass(frozen=True)
@@ -150,7 +126,7 @@ class NamedTarget(ConfigTable, key="anatomy.targets", error=ScenarioError):
 class TissueCurvature(ConfigTable, key="anatomy.curvature", error=ScenarioError):
     """Radius of the needle's arc (mm) in the voxels of a label."""
 
-    label: str | int = ruled(_Label())
+    label: str | int = ruled(LabelRule())
     radius_mm: float = ruled(_RADIUS)
 
 
@@ -204,8 +180,8 @@ class AnatomyRegions(
     target: Region | None = ruled(Maybe(_Region()), None)
     entry: Region = ruled(_Region(), REQUIRED)
     labels: str | None = ruled(Maybe(Text(filled=True)), None)
-    obstacles: tuple[str | int, ...] = ruled(_Labels(), ())
-    outside: tuple[str | int, ...] = ruled(_Labels(), ())
+    obstacles: tuple[str | int, ...] = ruled(LabelsRule(), ())
+    outside: tuple[str | int, ...] = ruled(LabelsRule(), ())
     margin_mm: float = ruled(_MARGIN, 0.0)
     margins_mm: Mapping[str, float] = ruled(_MarginRule(), factory=dict)
     curvature: tuple[TissueCurvature, ...] = ruled(TableList(TissueCurvature, at_most=200), ())
@@ -342,6 +318,7 @@ class AnatomyFile(
     objective: SpaceObjective = ruled(Subtable(SpaceObjective), SpaceObjective())
     title: str = ruled(Text(), "")
     limits: SpaceLimits | None = ruled(Maybe(Subtable(SpaceLimits)), None)
+    breathing: Breathing | None = ruled(Maybe(Subtable(Breathing)), None)
 
     __repr__ = short_repr
     _repr_html_ = short_html

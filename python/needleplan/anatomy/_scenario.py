@@ -115,9 +115,9 @@ class SpaceScenario:
     @cached_property
     def target_mm(self) -> tuple[float, float, float]:
         """Centre of the target (mm): the centre of a ball, or the mean of the voxels of a label on the lattice."""
-        region, points = self.file.anatomy.target, self.grid.target_points_mm
-        center = self.grid.frame.local(region.center_mm) if isinstance(region, Sphere) else points.mean(0)
-        x, y, z = center.tolist()
+        if self.grid.target.ball is not None:
+            return self.grid.target.ball[:3]
+        x, y, z = self.grid.target_points_mm.mean(0).tolist()
         return x, y, z
 
     @cached_property

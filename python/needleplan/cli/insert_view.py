@@ -37,7 +37,7 @@ _PERIOD_S = 0.1  # shortest time between two updates of the terminal
 _SPACE_NUMBERS = 6  # numbers of a 3D pose
 _DELAY_S = 1.0  # time from the start of a run to its first display
 _TOLD = {RunEventName.TABLE_SWAPPED, RunEventName.REPLAN_REFUSED, RunEventName.PAUSED, RunEventName.RESUMED,
-         RunEventName.FAULT, RunEventName.STOP}  # fmt: skip
+         RunEventName.WAITING, RunEventName.FAULT, RunEventName.STOP}  # fmt: skip
 
 
 class EventView(Listener):
