@@ -18,7 +18,6 @@ from needleplan.anatomy._nrrd import read_displacements
 from needleplan.artifacts import short_html, short_repr
 from needleplan.config import ConfigTable, Maybe, Number, Numbers, Text, ruled
 from needleplan.errors import Mistake, ScenarioError
-from needleplan.models.effects import breathing
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
@@ -76,6 +75,8 @@ class Breathing(ConfigTable, key="breathing", error=ScenarioError, between=(_a_s
         numpy.ndarray
             Levels from 0 to 1, of the shape of `time_s`.
         """
+        from needleplan.models.effects import breathing  # needs the extra `lab`, as insertions do
+
         moved, _ = breathing(np.asarray(time_s, np.float64), 1 / self.period_s, -np.pi / 2, self.rest)
         return np.asarray(moved + (1 - self.rest) / 2)
 
