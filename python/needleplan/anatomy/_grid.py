@@ -117,7 +117,11 @@ def grid_of(anatomy: Anatomy) -> AnatomyGrid:
     several targets (`grids_of`).
     """
     if several := anatomy.regions.targets:
-        rule = "has several targets: choose one, as `needleplan plan --target-name NAME` does, or rank entries for all"
+        names = ", ".join(aim.name for aim in several)
+        rule = (
+            f"has several targets: name one ({names}) by `target_name` in Python or `plan --target-name`, whose table "
+            "`view` and `insert` take, or rank entries for all by `needleplan entry`"
+        )
         raise ScenarioError(Mistake("anatomy.targets", f"{len(several)} tables", rule), anatomy.source)
     return grids_of(anatomy)[0]
 
