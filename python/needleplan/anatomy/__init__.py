@@ -20,6 +20,7 @@ from needleplan.anatomy._drawing import (
 from needleplan.anatomy._file import (
     AnatomyFile,
     AnatomyRegions,
+    NamedEntry,
     NamedTarget,
     Region,
     SpaceLattice,
@@ -59,6 +60,7 @@ __all__ = [
     "CaseStructure",
     "HalfSpace",
     "LabelVolume",
+    "NamedEntry",
     "NamedTarget",
     "Region",
     "SpaceFrame",

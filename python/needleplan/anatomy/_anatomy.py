@@ -20,7 +20,7 @@ from needleplan.config import read_toml
 from needleplan.errors import Mistake, ScenarioError
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
+    from numpy.typing import ArrayLike, NDArray
 
     from needleplan.anatomy._volume import LabelVolume
 
@@ -73,7 +73,8 @@ class Anatomy:
         regions = self.regions
         aims = zip(regions.aim_keys, ((aim.region,) for aim in regions.aims), strict=True)
         listed: list[tuple[str, tuple[Region, ...]]] = [
-            ("obstacles", regions.obstacles), ("outside", regions.outside), *aims, ("entry", (regions.entry,)),
+            ("obstacles", regions.obstacles), ("outside", regions.outside), *aims,
+            *((key, (each.region,)) for key, each in regions.entrances.items()),
             ("curvature.label", tuple(each.label for each in regions.curvature)),
         ]  # fmt: skip
         present = {int(label) for label in labels_present(self.volume.labels)}
@@ -164,7 +165,9 @@ class Anatomy:
             return self.balls.get(region, region) if isinstance(region, Sphere) else region
 
         targets = tuple(replace(aim, region=moved(aim.region)) for aim in regions.targets)
-        return replace(regions, target=moved(regions.target), entry=moved(regions.entry), targets=targets)
+        entries = tuple(replace(each, region=moved(each.region)) for each in regions.entries)
+        target, entry = moved(regions.target), moved(regions.entry)
+        return replace(regions, target=target, entry=entry, targets=targets, entries=entries)
 
     def inspired(self, level: float, near_mm: NDArray[np.float64] | None = None) -> Anatomy:
         """Return the anatomy at a level of inspiration, from 0 at the end of an exhalation to 1.
@@ -183,7 +186,8 @@ class Anatomy:
         assert self.motion is not None
         exhaled = self.exhaled or self
         regions = exhaled.file.anatomy
-        balls = [each for each in (*(aim.region for aim in regions.aims), regions.entry) if isinstance(each, Sphere)]
+        named = [each.region for each in regions.aims] + [each.region for each in regions.entrances.values()]
+        balls = [each for each in named if isinstance(each, Sphere)]
         centers = [each.center_mm for each in balls]
         volume, places = self.motion.moved(exhaled.volume, level, centers, near_mm)
         moved = {ball: replace(ball, center_mm=place) for ball, place in zip(balls, places, strict=True)}
@@ -222,6 +226,40 @@ class Anatomy:
         within[box] = far <= radius_mm
         return within
 
+    def inside_entries(self, *, touched: bool = False) -> NDArray[np.bool_]:
+        """Return which voxels belong to an entry region.
+
+        Parameters
+        ----------
+        touched : bool, default False
+            As for `inside`.
+
+        Returns
+        -------
+        numpy.ndarray
+            Boolean, of the shape of the volume.
+        """
+        parts = (self.inside(each.region, touched=touched) for each in self.regions.entrances.values())
+        return np.asarray(np.logical_or.reduce(list(parts)))
+
+    def entry_name(self, position_mm: ArrayLike) -> str:
+        """Return the name of the entry region that is nearest to a point.
+
+        Parameters
+        ----------
+        position_mm : array_like
+            Entry point in RAS (mm), shape (3,).
+
+        Returns
+        -------
+        str
+        """
+
+        def away_mm(region: Region) -> float:
+            return float(np.linalg.norm(self.points(region) - np.asarray(position_mm), axis=-1).min())
+
+        return min(self.regions.entrances.values(), key=lambda each: away_mm(each.region)).name
+
     def points(self, region: Region) -> NDArray[np.float64]:
         """Return the centres of the voxels of a region in RAS mm, shape (n, 3)."""
         return self.volume.world(np.argwhere(self.inside(region)))
@@ -253,7 +291,8 @@ class Anatomy:
         for kind, labels in (("obstacles", regions.obstacles), ("outside", regions.outside)):
             closed = self.numbers(labels)
             aims = zip(regions.aim_keys, (aim.region for aim in regions.aims), strict=True)
-            for key, region in (*aims, ("entry", regions.entry)):
+            entrances = ((key, each.region) for key, each in regions.entrances.items())
+            for key, region in (*aims, *entrances):
                 if np.isin(self.volume.labels[self.inside(region)], closed).all():
                     found.append(Mistake(f"anatomy.{key}", str(region), f"all of its voxels belong to anatomy.{kind}"))
         return found

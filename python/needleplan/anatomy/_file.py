@@ -15,7 +15,6 @@ from needleplan.anatomy._labels import LabelRule, LabelsRule
 from needleplan.anatomy._limits import SpaceLimits
 from needleplan.artifacts import short_html, short_repr
 from needleplan.config import (
-    REQUIRED,
     ConfigTable,
     Flag,
     Integer,
@@ -39,6 +38,7 @@ __all__ = [
     "SPACINGS_MM",
     "AnatomyFile",
     "AnatomyRegions",
+    "NamedEntry",
     "NamedTarget",
     "Region",
     "SpaceLattice",
@@ -48,7 +48,7 @@ __all__ = [
     "TissueCurvature",
 ]
 
-# Largest number of targets of an anatomy.
+# Largest number of targets, and of entry regions, of an anatomy.
 _MOST_TARGETS = 20
 # Words of `entry --rank` that cannot be names of targets.
 _RANKS = ("expected", "all")
@@ -123,6 +123,14 @@ class NamedTarget(ConfigTable, key="anatomy.targets", error=ScenarioError):
 
 
 @dataclass(frozen=True)
+class NamedEntry(ConfigTable, key="anatomy.entries", error=ScenarioError):
+    """One of several entry regions: its name, and a label or a ball."""
+
+    name: str = ruled(Text(80, filled=True, one_line=True))
+    region: Region = ruled(_Region())
+
+
+@dataclass(frozen=True)
 class TissueCurvature(ConfigTable, key="anatomy.curvature", error=ScenarioError):
     """Radius of the needle's arc (mm) in the voxels of a label."""
 
@@ -148,6 +156,16 @@ def _one_or_several(target: Region | None, targets: tuple[NamedTarget | None, ..
         yield Mistake("targets", f"{len(targets)} tables", "anatomy.target is given, too: leave out one of them")
 
 
+def _one_entry_or_several(entry: Region | None, entries: tuple[NamedEntry | None, ...]) -> Iterator[Mistake]:
+    if entry is None and not entries:
+        yield Mistake("entry", "", "is missing")
+    if entry is not None and entries:
+        yield Mistake("entries", f"{len(entries)} tables", "anatomy.entry is given, too: leave out one of them")
+    names = [each.name for each in entries if each is not None]
+    for name in sorted({name for name in names if names.count(name) > 1}):
+        yield Mistake("entries.name", name, "is the name of two entry regions: names must differ")
+
+
 def _different_targets(targets: tuple[NamedTarget | None, ...]) -> Iterator[Mistake]:
     for place, each in enumerate(targets):
         for number, other in enumerate(targets[:place], start=1):
@@ -168,17 +186,17 @@ class AnatomyRegions(
     ConfigTable,
     key="anatomy",
     error=ScenarioError,
-    between=(_no_label_twice, _margins_of_obstacles, _one_or_several, _different_targets),
+    between=(_no_label_twice, _margins_of_obstacles, _one_or_several, _different_targets, _one_entry_or_several),
 ):
     """The volume, and the meaning of its labels. Regions are labels, or balls in RAS mm.
 
-    There is one `target`, or there are several `targets`. `margin_mm` holds for all obstacles that have no own in
-    `margins_mm`.
+    There is one `target`, or there are several `targets`; the same holds for `entry` and `entries`.
+    `margin_mm` holds for all obstacles that have no own in `margins_mm`.
     """
 
     file: str = ruled(Text(filled=True))
     target: Region | None = ruled(Maybe(_Region()), None)
-    entry: Region = ruled(_Region(), REQUIRED)
+    entry: Region | None = ruled(Maybe(_Region()), None)
     labels: str | None = ruled(Maybe(Text(filled=True)), None)
     obstacles: tuple[str | int, ...] = ruled(LabelsRule(), ())
     outside: tuple[str | int, ...] = ruled(LabelsRule(), ())
@@ -186,6 +204,19 @@ class AnatomyRegions(
     margins_mm: Mapping[str, float] = ruled(_MarginRule(), factory=dict)
     curvature: tuple[TissueCurvature, ...] = ruled(TableList(TissueCurvature, at_most=200), ())
     targets: tuple[NamedTarget, ...] = ruled(TableList(NamedTarget, at_most=_MOST_TARGETS), ())
+    entries: tuple[NamedEntry, ...] = ruled(TableList(NamedEntry, at_most=_MOST_TARGETS), ())
+
+    @property
+    def entrances(self) -> dict[str, NamedEntry]:
+        """The entry regions by their keys in messages, without "anatomy."; a single one has the name "entry"."""
+        if self.entry is not None:
+            return {"entry": NamedEntry("entry", self.entry)}
+        return {f'entries {place} ("{each.name}").region': each for place, each in enumerate(self.entries, start=1)}
+
+    @property
+    def entry_text(self) -> str:
+        """The entry region, or the names of several, for messages."""
+        return ", ".join(each.name for each in self.entries) or str(self.entry)
 
     @property
     def aims(self) -> tuple[NamedTarget, ...]:

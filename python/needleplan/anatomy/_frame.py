@@ -182,12 +182,12 @@ def _needed_bytes(anatomy: Anatomy, frame: SpaceFrame) -> int:
 def _frame_with(anatomy: Anatomy, spacing_mm: float) -> SpaceFrame:
     """Return the frame of an anatomy with a spacing. Raises ScenarioError if entry region and target are too close."""
     regions, lattice = anatomy.regions, anatomy.file.lattice
-    entry = anatomy.points(regions.entry)
+    entry = np.concatenate([anatomy.points(each.region) for each in regions.entrances.values()])
     target = np.concatenate([anatomy.points(aim.region) for aim in regions.aims])
     along = target.mean(0) - entry.mean(0)
     if np.linalg.norm(along) < 2 * spacing_mm:
         rule = "its centroid must be at least two lattice.spacing_mm from the centroid of the target"
-        raise ScenarioError(Mistake("anatomy.entry", str(regions.entry), rule), anatomy.source)
+        raise ScenarioError(Mistake("anatomy.entry", regions.entry_text, rule), anatomy.source)
     x = along / np.linalg.norm(along)
     up = np.array([0.0, 1.0, 0.0] if abs(x[2]) > _STEEP else [0.0, 0.0, 1.0])
     z = up - (up @ x) * x

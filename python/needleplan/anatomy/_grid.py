@@ -153,7 +153,7 @@ def grids_of(anatomy: Anatomy, within: SpaceFrame | None = None) -> list[Anatomy
     distances = file_distances(volume, obstacle, frame)
     outside = np.isin(volume.labels, anatomy.numbers(regions.outside))
     meaning = obstacle * np.uint8(IS_OBSTACLE) + outside * np.uint8(IS_OUTSIDE)
-    meaning += anatomy.inside(regions.entry) * np.uint8(IS_ENTRY)
+    meaning += anatomy.inside_entries() * np.uint8(IS_ENTRY)
     growths = _growths(anatomy)
     refinement = refinement_of(volume.sizes_mm, frame.spacing_mm)
     targets = [aim if isinstance(aim, Sphere) else anatomy.numbers((aim,))[0] for aim in aims]
@@ -166,7 +166,7 @@ def grids_of(anatomy: Anatomy, within: SpaceFrame | None = None) -> list[Anatomy
     entry = _with_entries_between(at_points, volume, (meaning & IS_ENTRY) > 0, frame, codes, distances)
     meaning_of_centres = meaning.copy()
     # The proof holds for the whole of a ball.
-    meaning |= anatomy.inside(regions.entry, touched=True) * np.uint8(IS_ENTRY)
+    meaning |= anatomy.inside_entries(touched=True) * np.uint8(IS_ENTRY)
     possible = possible_cells(volume, meaning, frame, (anatomy.inside(aim, touched=True) for aim in aims))
     clearance = distances.at_points(volume, frame)
     farthest_mm = max(growths.growths_mm) + math.sqrt(3) * frame.spacing_mm / refinement
@@ -248,7 +248,7 @@ def _mistakes(anatomy: Anatomy, grids: list[AnatomyGrid]) -> list[Mistake]:
     hint = f"take {' or '.join([*smaller, f'a spacing below {frame.spacing_mm:g} mm'])}"
     aims = list(zip(regions.aim_keys, (aim.region for aim in regions.aims), grids, strict=True))
     places = [(key, region, grid.voxels == TARGET) for key, region, grid in aims]
-    for key, region, there in (*places, ("entry", regions.entry, entry)):
+    for key, region, there in (*places, ("entry", regions.entry_text, entry)):
         if not there.any():
             rule = f"no voxel of the lattice lies in it, apart from obstacles, their margin and outside: {hint}"
             found.append(Mistake(f"anatomy.{key}", str(region), rule))
@@ -262,5 +262,5 @@ def _mistakes(anatomy: Anatomy, grids: list[AnatomyGrid]) -> list[Mistake]:
                 found.append(Mistake(f"anatomy.{key}", str(region), rule))
             else:
                 rule = "lies in another body than anatomy.target: labels in anatomy.outside separate them"
-                found.append(Mistake("anatomy.entry", str(regions.entry), rule))
+                found.append(Mistake("anatomy.entry", regions.entry_text, rule))
     return found

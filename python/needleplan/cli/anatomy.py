@@ -161,6 +161,8 @@ def _run_entries(
         ranked = [entries.entry(number) for number in numbers]
         realised = entries.realised(numbers[0], _RUNS) if ranked else None
         promise = promised(entries.table, uncertainty, entries.poses[numbers[0]]) if ranked else None
+        several = anatomy and anatomy.file.anatomy.entries
+        regions = [anatomy.entry_name(each.position_mm) for each in ranked] if anatomy and several else []
         near = [obstacle_distances(anatomy, entries.path_mm(each)) for each in numbers] if anatomy else []
         breathes = ranked and anatomy and anatomy.file.breathing
         breaths = success_in_breath(entries.table, anatomy, entries.poses[numbers]) if anatomy and breathes else []
@@ -180,13 +182,13 @@ def _run_entries(
         note(f"drew {options.figure}")
     if options.json:
         print_json(
-            _record(entries, ranked, realised, hopeless, near, breaths)
+            _record(entries, ranked, realised, hopeless, near, breaths, regions)
             | promise_record(promise)
             | ({"plane": _plane_record(entries, plane)} if plane else {})
         )
     else:
         print(one_line(entries.table.scenario.title or options.table))
-        for line in _lines(entries, ranked, realised, exact=options.exact_entry):
+        for line in _lines(entries, ranked, realised, regions, exact=options.exact_entry):
             print(one_line(line))
         for line in _breath_lines(breaths):
             print(line)
@@ -243,7 +245,9 @@ def _refuse(options: argparse.Namespace, names: dict[str, Any], rule: str) -> No
             raise InputError(Mistake(name, str(value), rule))
 
 
-def _lines(entries: EntryMap, ranked: list[SpaceEntry], realised: float | None, *, exact: bool) -> Iterator[str]:
+def _lines(
+    entries: EntryMap, ranked: list[SpaceEntry], realised: float | None, regions: list[str], *, exact: bool
+) -> Iterator[str]:
     """Yield the lines of the ranked list. Losses of success are in percentage points."""
     reaching = int((entries.success >= 0.5).sum())
     yield (
@@ -272,7 +276,7 @@ def _lines(entries: EntryMap, ranked: list[SpaceEntry], realised: float | None, 
             f"  {number:>4}  {'  '.join((alone, expected) if exact else (expected, alone))}  "
             f"{each.clearance_mm:>6.1f} mm  {each.length_mm:>3.0f} mm  "
             f"{each.turns:>5}  {100 * each.shift_cost:>9.1f}  {100 * each.tilt_cost:>10.1f}  "
-            f"{place:<22}  {along}{missed}"
+            f"{place:<22}  {along}{f'  in {regions[number - 1]}' if regions else ''}{missed}"
         )
     if realised is not None:
         yield f"  the best entry reached the target in {percent(realised)} of {_RUNS:,} executions with noise"
@@ -331,6 +335,7 @@ def _record(
     hopeless: Unreached | None,
     near: list[dict[str, float]],
     breaths: list[ResidualSuccess],
+    regions: list[str],
 ) -> dict[str, Any]:
     is_possible = entries.reachable and not hopeless
     answer = "impossible" if entries.impossible else "possible" if is_possible else "not decided"
@@ -348,6 +353,7 @@ def _record(
         "entries": [
             each.record()
             | ({"obstacles_mm": near[place]} if near else {})
+            | ({"entry_region": regions[place]} if regions else {})
             | ({"breathing": [breath.record(place) for breath in breaths]} if breaths else {})
             for place, each in enumerate(ranked)
         ],
