@@ -31,7 +31,7 @@ class Rig:
     def __init__(self, server: RobotServer, stage: RobotStage) -> None:
         self.server, self.stage = server, stage
         self.guard = GuardedStage(stage, LIMITS, accepted_limits="a busy machine")
-        # The kernel begins to note times some milliseconds later. A datagram that came before has the time of its reading.
+        # The kernel notes times some milliseconds later. A datagram that came before has the time of its reading.
         server._socket.setsockopt(socket.SOL_SOCKET, TIMESTAMPS, 1)
 
     def turn(self) -> None:
