@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import shutil
-import socket
 import subprocess
 from collections.abc import Iterator
 from pathlib import Path
@@ -14,6 +13,7 @@ from needleplan.devices import Stage
 from needleplan.devices.robot import RobotStage, RobotTiming
 from tests import pages
 from tests.devices.contract import StageContract
+from tests.devices.robot.robot_in_c import free_port, robot_in_c
 
 EXAMPLES = pages.ROOT / "examples"
 FOLDERS = sorted(file.parent for file in EXAMPLES.glob("*/README.md"))
@@ -40,29 +40,14 @@ def test_the_commands_run(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyP
 def program(tmp_path_factory: pytest.TempPathFactory) -> Path:
     if shutil.which("cc") is None:
         pytest.skip("no C compiler here")
-    made = tmp_path_factory.mktemp("robot") / "robot"
     patience = ("-DLONGEST_US=30000000u", "-DVALID_US=30000000u", "-DRELEASE_MS=60000u")
-    words = [
-        "cc",
-        "-std=c99",
-        "-Wall",
-        "-Wextra",
-        "-Werror",
-        "-pedantic",
-        "-O2",
-        *patience,
-        f"-I{pages.ROOT}/docs/reference",
-    ]
-    subprocess.run([*words, EXAMPLES / "robot-in-c/robot.c", "-o", made, "-lm"], check=True, timeout=120)
-    return made
+    return robot_in_c(tmp_path_factory.mktemp("robot"), *patience)
 
 
 class TestTheRobotInC(StageContract):
     @pytest.fixture
     def sensor(self, program: Path) -> Iterator[Stage]:
-        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
-            free.bind(("127.0.0.1", 0))
-            port = free.getsockname()[1]
+        port = free_port()
         with subprocess.Popen([program, str(port)]) as robot:
             try:
                 with RobotStage.open(f"udp://127.0.0.1:{port}", timing=PATIENT) as opened:

@@ -1,9 +1,9 @@
 /* A needle robot with two simulated axes that speaks the needleplan robot protocol, for POSIX.
  *
- *     cc -std=c99 -Wall -Wextra -Werror -O2 -I../../docs/reference robot.c -o robot -lm && ./robot 5105
+ *     cc -std=c99 -Wall -Wextra -Werror -O2 -I../../docs/reference robot.c -o robot -lm && ./robot 5105 [KEY]
  *
  * Replace `axis_tick`, `axis_stop` and the sleep of `main` by your drives and your timer of 1 kHz. All else is the capture
- * side of the protocol, by its rules, without a key. No memory is allocated.
+ * side of the protocol, by its rules; KEY is a shared key of 16 to 64 characters. No memory is allocated.
  */
 #define _POSIX_C_SOURCE 200809L
 #include <arpa/inet.h>
@@ -16,6 +16,7 @@
 #include <unistd.h>
 
 #include "needleplan_robot.h"
+#include "tag.h"
 
 #define MS 1000000ull
 #define ENDED 64
@@ -50,12 +51,13 @@ static axis_t axis[AXES];
 static npl_hello limits;              /* of the session */
 static struct sockaddr_in controller;
 static stopper_t stopper;             /* the last sender of a STOP without a session */
-static uint32_t session, sequence_in, number_in, statuses, answers, silence_us, missed, faults;
+static uint32_t session, sequence_in, number_in, accepted, statuses, answers, silence_us, missed, faults;
 static uint32_t ended[ENDED], ended_count;
-static uint64_t heard_ns, echo_ns, nonce, moved_ns;
+static uint64_t heard_ns, echo_ns, echo_in_ns, nonce, moved_ns;
 static uint8_t state = NPL_STATE_DISABLED, homed = 1;
 static npl_answer last;               /* the answer to number_in */
 static int link_fd;
+static const char *key;
 
 static uint64_t now_ns(void) {
     struct timespec time;
@@ -109,7 +111,7 @@ static npl_answer answer_to(const npl_head *head, uint64_t now, uint16_t result)
     answer.head.sent_ns = now;
     answer.head.echo_ns = head->sent_ns;
     answer.head.number = head->number;
-    answer.nonce = head->kind == NPL_HELLO ? nonce : 0;
+    answer.nonce = head->kind == NPL_HELLO && session && head->session == session ? nonce : 0;
     answer.asked = head->kind;
     answer.state = state;
     answer.result = result;
@@ -117,8 +119,29 @@ static npl_answer answer_to(const npl_head *head, uint64_t now, uint16_t result)
     return answer;
 }
 
+/* Send a sealed message; with a key, also its tag. Only what belongs to the session has the nonce of the session. */
 static void send_to(const struct sockaddr_in *to, const void *message, size_t size) {
-    (void)!sendto(link_fd, message, size, 0, (const struct sockaddr *)to, sizeof *to);
+    uint8_t out[NPL_MOST], tag[NPL_TAG];
+    memcpy(out, message, size);
+    if (key) {
+        const npl_head *head = (const npl_head *)(const void *)out;
+        int greets = head->kind == NPL_ANSWER && out[offsetof(npl_answer, asked)] == NPL_HELLO;
+        uint16_t tagged = (uint16_t)(size + NPL_TAG);
+        memcpy(out + offsetof(npl_head, size), &tagged, sizeof tagged);
+        npl_tag(key, session && head->session == session && !greets ? nonce : 0, out, size - 4, tag);
+        memcpy(out + size - 4, tag, NPL_TAG);
+        npl_seal(out, size = tagged);
+    }
+    (void)!sendto(link_fd, out, size, 0, (const struct sockaddr *)to, sizeof *to);
+}
+
+/* Return whether the tag of a datagram is right: that of its session, for HELLO that of the nonce 0. */
+static int is_authentic(const uint8_t *datagram, size_t size, uint8_t kind) {
+    uint8_t tag[NPL_TAG];
+    if (size != (kind == NPL_HELLO ? sizeof(npl_hello) : sizeof(npl_command)) + NPL_TAG)
+        return 0;
+    npl_tag(key, kind == NPL_HELLO || !session ? 0 : nonce, datagram, size - NPL_TAG - 4, tag);
+    return memcmp(tag, datagram + size - NPL_TAG - 4, NPL_TAG) == 0;
 }
 
 static void send_status(const struct sockaddr_in *to, npl_head head, uint8_t version, uint64_t now) {
@@ -135,9 +158,15 @@ static void send_status(const struct sockaddr_in *to, npl_head head, uint8_t ver
     status.faults = faults;
     status.state = state;
     status.flags = (uint8_t)((is_moving() ? NPL_MOVING : 0) | (homed ? NPL_HOMED : 0) | (standing ? NPL_STANDING : 0));
+    if (version == NPL_OLDEST_VERSION)
+        status.flags &= NPL_MOVING;
     status.missed = missed;
     npl_seal(&status, sizeof status);
     send_to(to, &status, sizeof status);
+}
+
+static int is_controller(const struct sockaddr_in *from) {
+    return from->sin_addr.s_addr == controller.sin_addr.s_addr && from->sin_port == controller.sin_port;
 }
 
 /* A limit of the session: what is asked, or the limit of the robot for 0. Negative if it is wider. */
@@ -145,15 +174,17 @@ static double limit(double asked, double own) { return asked == 0 ? own : asked 
 
 static uint16_t hello(npl_hello asked, const struct sockaddr_in *from) {
     int given = asked.least_mm != 0 || asked.most_mm != 0;
-    if (asked.head.session == session)
-        return NPL_RESULT_ACCEPTED;
     if (session)
-        return NPL_RESULT_BUSY;
+        return asked.head.session == session && is_controller(from) ? NPL_RESULT_ACCEPTED : NPL_RESULT_BUSY;
+    if (asked.head.session == 0)
+        return NPL_RESULT_OLD_SESSION;
     for (int at = 0; at < ENDED; ++at)
         if (asked.head.session == ended[at])
             return NPL_RESULT_OLD_SESSION;
     if (!given)
         asked.least_mm = LEAST_MM, asked.most_mm = MOST[DEPTH];
+    if (!isfinite(asked.least_mm + asked.most_mm + asked.speed_mm_s + asked.roll_rad + asked.rotation_rad_s))
+        return NPL_RESULT_OUT_OF_RANGE;
     if (!(asked.least_mm >= LEAST_MM && asked.most_mm <= MOST[DEPTH] && asked.least_mm < asked.most_mm))
         return NPL_RESULT_DEPTH_BEYOND;
     if (!((asked.speed_mm_s = limit(asked.speed_mm_s, FASTEST[DEPTH])) > 0))
@@ -169,7 +200,7 @@ static uint16_t hello(npl_hello asked, const struct sockaddr_in *from) {
     session = asked.head.session;
     nonce = now_ns() ^ (uint64_t)session << 32;
     controller = *from;
-    number_in = asked.head.number;
+    number_in = accepted = asked.head.number;
     sequence_in = asked.head.sequence;
     statuses = missed = 0;
     silence_us = 30000;
@@ -232,8 +263,11 @@ static void receive(const uint8_t *datagram, size_t size, const struct sockaddr_
     npl_command command;
     npl_answer answer;
     uint8_t kind = size > 5 ? datagram[5] : 0;
-    int wrong = npl_check(datagram, size, kind, kind == NPL_HELLO ? sizeof(npl_hello) : sizeof command);
+    size_t usual = kind == NPL_HELLO ? sizeof(npl_hello) : sizeof command;
+    int wrong = npl_check(datagram, size, kind, size == usual + NPL_TAG ? size : usual);
     if (kind & 0x80 || (wrong && wrong != 2) || size < sizeof(npl_head))
+        return;
+    if (!wrong && (kind < NPL_HELLO || kind > NPL_UNHOME))
         return;
     if (wrong) {
         npl_head head;
@@ -242,18 +276,24 @@ static void receive(const uint8_t *datagram, size_t size, const struct sockaddr_
         send_to(from, &answer, sizeof answer);
         return;
     }
+    memcpy(&command, datagram, sizeof command);
+    int stops_for_any = kind == NPL_STOP && command.head.session == 0;
+    if (key && !stops_for_any && !is_authentic(datagram, size, kind)) {
+        answer = answer_to(&command.head, now, NPL_RESULT_NOT_AUTHENTIC);
+        send_to(from, &answer, sizeof answer);
+        return;
+    }
     if (kind == NPL_HELLO) {
         npl_hello asked;
         memcpy(&asked, datagram, sizeof asked);
         uint16_t result = hello(asked, from);
         if (result == NPL_RESULT_ACCEPTED)
-            heard_ns = now, echo_ns = asked.head.sent_ns;
+            heard_ns = echo_in_ns = now, echo_ns = asked.head.sent_ns;
         last = answer = answer_to(&asked.head, now, result);
         send_to(from, &answer, sizeof answer);
         return;
     }
-    memcpy(&command, datagram, sizeof command);
-    if (kind == NPL_STOP && command.head.session == 0) {
+    if (stops_for_any) {
         stop(session ? NPL_FAULT_FOREIGN_STOP : 0);
         stopper.sequence = stopper.until_ns > now ? stopper.sequence : 0;
         stopper.address = *from;
@@ -265,8 +305,9 @@ static void receive(const uint8_t *datagram, size_t size, const struct sockaddr_
         send_to(from, &answer, sizeof answer);
         return;
     }
-    if (session == 0 || command.head.session != session) {
-        answer = answer_to(&command.head, now, NPL_RESULT_OLD_SESSION);
+    if (session == 0 || command.head.session != session || !is_controller(from)) {
+        int other = session && command.head.session == session;
+        answer = answer_to(&command.head, now, other ? NPL_RESULT_BUSY : NPL_RESULT_OLD_SESSION);
         send_to(from, &answer, sizeof answer);
         return;
     }
@@ -275,6 +316,7 @@ static void receive(const uint8_t *datagram, size_t size, const struct sockaddr_
     missed += command.head.sequence - sequence_in - 1;
     sequence_in = command.head.sequence;
     echo_ns = command.head.sent_ns;
+    echo_in_ns = now;
     /* A late datagram is no sign of life; nor is a STOP while an axis moves. */
     if ((command.deadline_ns >= now || kind == NPL_GOODBYE) || (kind == NPL_STOP && !is_moving())) {
         heard_ns = now;
@@ -283,11 +325,13 @@ static void receive(const uint8_t *datagram, size_t size, const struct sockaddr_
     }
     if (kind == NPL_ALIVE)
         return;
-    if (command.head.number > number_in) {
+    int32_t after = (int32_t)(command.head.number - number_in);
+    if (after > 0) {
         uint16_t result = execute(&command, now);
         number_in = command.head.number;
+        accepted = result == NPL_RESULT_ACCEPTED ? number_in : accepted;
         last = answer_to(&command.head, now, result);
-    } else if (command.head.number < number_in) {
+    } else if (after < 0) {
         answer = answer_to(&command.head, now, NPL_RESULT_SUPERSEDED);
         send_to(from, &answer, sizeof answer);
         return;
@@ -310,8 +354,8 @@ static void tick(double seconds, uint64_t now) {
     if (session && now - heard_ns > RELEASE_MS * MS)
         end_session();
     if (session) {
-        npl_head head = {.session = session, .sequence = ++statuses, .echo_ns = echo_ns, .number = number_in};
-        head.held_us = (uint32_t)((now - heard_ns) / 1000);
+        npl_head head = {.session = session, .sequence = ++statuses, .echo_ns = echo_ns, .number = accepted};
+        head.held_us = (uint32_t)((now - echo_in_ns) / 1000);
         send_status(&controller, head, limits.head.version, now);
     }
     if (now < stopper.until_ns && now >= stopper.due_ns) {
@@ -324,6 +368,7 @@ static void tick(double seconds, uint64_t now) {
 int main(int count, char **words) {
     struct sockaddr_in own = {.sin_family = AF_INET, .sin_addr.s_addr = htonl(INADDR_LOOPBACK)};
     uint64_t before = now_ns();
+    key = count > 2 ? words[2] : NULL;
     own.sin_port = htons((uint16_t)(count > 1 ? atoi(words[1]) : NPL_PORT));
     link_fd = socket(AF_INET, SOCK_DGRAM, 0);
     if (link_fd < 0 || bind(link_fd, (struct sockaddr *)&own, sizeof own) || fcntl(link_fd, F_SETFL, O_NONBLOCK)) {

@@ -322,6 +322,7 @@ class SolvedSpace:
         *,
         center_mm: Sequence[float],
         seed: int,
+        anatomy: Space | None = None,
         threads: int | None = None,
     ) -> NDArray[np.uint8]: ...
     def paths(

@@ -250,8 +250,7 @@ def test_layers_without_directions_are_refused(tmp_path: Path) -> None:
 
 
 def test_a_folder_without_segmentations_is_refused(tmp_path: Path) -> None:
-    (tmp_path / "1.dcm").write_bytes(b"DICM")
-    with pytest.raises(ScenarioError, match=r"has no segmentation.*export DICOM SEG as"):
+    with pytest.raises(ScenarioError, match="has no segmentation"):
         read_case(tmp_path)
     with pytest.raises(ScenarioError, match="No such file"):
         read_case(tmp_path / "no")

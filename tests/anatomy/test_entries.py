@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 import SimpleITK
 
-from needleplan.anatomy import PHANTOMS, Anatomy, grid_of, write_phantom
+from needleplan.anatomy import PHANTOMS, Anatomy, AnatomyFile, grid_of, write_phantom
+from needleplan.errors import ScenarioError
 from needleplan.planning import EntryMap, rank_entries
 from tests.anatomy.volumes import TEXT, anatomy, box, write
 from tests.cli.commands import needleplan, refused
@@ -211,3 +212,31 @@ def test_new_writes_a_folder_and_never_overwrites(tmp_path: Path) -> None:
     assert "--force overwrites" in done.stderr
     assert needleplan("new", tmp_path / "x", "--anatomy", "liver", "--svg", "a.svg").returncode == 2
     assert needleplan("new", tmp_path / "x", "--seed", 3).returncode == 2
+
+
+SIDES = """[[anatomy.entries]]
+name = "left side"
+region = { center_mm = [15.0, 20.0, 4.0], radius_mm = 4.0 }
+[[anatomy.entries]]
+name = "front"
+region = { center_mm = [25.0, 24.0, 4.0], radius_mm = 4.0 }
+[needle]"""
+
+
+def test_several_entry_regions_have_names(tmp_path: Path) -> None:
+    text = TEXT.replace('entry = "entry"\n', "").replace("[needle]", SIDES)
+    done = needleplan("entry", write(tmp_path, box(), text), "--top", 3, "--json")
+    entries = json.loads(done.stdout)["entries"]
+    assert {each["entry_region"] for each in entries} == {"left side", "front"}
+    for each in entries:
+        nearer = np.linalg.norm(np.array([[15.0, 20.0, 4.0], [25.0, 24.0, 4.0]]) - each["position_mm"], axis=1).argmin()
+        assert each["entry_region"] == ("left side", "front")[nearer]
+    assert AnatomyFile.from_toml(AnatomyFile.from_toml(text).to_toml()) == AnatomyFile.from_toml(text)
+    for wrong, says in (
+        (TEXT.replace("[needle]", SIDES), "anatomy.entry is given, too"),
+        (TEXT.replace('entry = "entry"\n', ""), "anatomy.entry: is missing"),
+        (text.replace("front", "left side"), "names must differ"),
+        (text.replace("25.0, 24.0, 4.0", "125.0, 24.0, 4.0"), r'entries 2 \("front"\)'),
+    ):
+        with pytest.raises(ScenarioError, match=says):
+            Anatomy.read(write(tmp_path, box(), wrong))

@@ -13,7 +13,7 @@ import pytest
 
 from needleplan.anatomy import FREE, TARGET, AnatomyFile, SpaceScenario
 from needleplan.errors import InputError, ScenarioError
-from needleplan.planning import TargetMap, entry_map, plan_space, rank_entries, rank_for_targets
+from needleplan.planning import TargetMap, entry_map, plan, plan_space, rank_entries, rank_for_targets
 from tests.anatomy.volumes import TEXT, anatomy, box, write
 from tests.cli.commands import needleplan
 
@@ -89,6 +89,11 @@ def test_targets_share_the_lattice_and_the_entries(found: TargetMap) -> None:
         assert grid.target.contains(grid.target_points_mm).mean() > 0.9
     with pytest.raises(ScenarioError, match="has several targets"):
         SpaceScenario.of(anatomy(box(), TWO))
+    with pytest.raises(ScenarioError, match=r"target_name.*must be the name of a target: lesion, core"):
+        plan(anatomy(box(), TWO), target_name="none")
+    with pytest.raises(ScenarioError, match="is for an anatomy with several targets"):
+        plan("four_obstacles", target_name="core")
+    assert plan(anatomy(box(), TWO), target_name="core").digest == found.maps["core"].table.digest
 
 
 def test_a_target_alone_has_the_success_of_its_own_table(found: TargetMap) -> None:

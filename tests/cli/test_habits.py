@@ -49,7 +49,7 @@ STARTS = {
     "pause": ("--robot", "nowhere"), "resume": ("--robot", "nowhere"),
     "view": ("nowhere",), "sweep": ("nowhere.toml", "-o", "store"), "study": ("map", "nowhere"),
     "recording replay": ("nowhere.mcap", "--table", "table.h5"), "reproduce": ("ch7",), "completion": ("tcsh",),
-    "doctor": (), "check-realtime": ("--seconds", "nan"),
+    "doctor": (), "check-realtime": ("--seconds", "nan"), "check-robot": ("nowhere", "--may-move", "2"),
 }  # fmt: skip
 
 

@@ -10,6 +10,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, cast
 
+import numpy as np
 import pytest
 from rich.console import Console
 from rich.live import Live
@@ -76,6 +77,13 @@ def test_positions_in_space_name_the_lattice(capsys: pytest.CaptureFixture[str])
     assert len(lines) == len(report.steps)
     place = r": lattice x +-?\d+\.\d\d, y +-?\d+\.\d\d, z +-?\d+\.\d\d mm, +-?\d+\.\d deg, success "
     assert all(re.search(place, line) for line in lines), lines[0]
+    away, risk = zip(
+        *(re.findall(r"; ([\d.]+) mm to the target, ([\d.]+) mm from an obst", x)[0] for x in lines), strict=True
+    )
+    target, grid = box_table().scenario.target_mm, box_table().scenario.grid
+    tips = np.array([step.estimate.position_mm for step in report.steps])
+    assert [float(each) for each in away] == pytest.approx([math.dist(tip, target) for tip in tips], abs=0.05)
+    assert [float(each) for each in risk] == pytest.approx(grid.clearance_at(tips), abs=0.05)
     with Live(console=Console(file=io.StringIO()), auto_refresh=False) as live:
         now = LiveView(live, box_table(), SPACE_FAST)
         assert report.tip

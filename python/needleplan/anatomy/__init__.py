@@ -4,6 +4,7 @@ World coordinates are RAS mm. Research software: not for use on patients.
 """
 
 from needleplan.anatomy._anatomy import Anatomy
+from needleplan.anatomy._breathing import Breathing
 from needleplan.anatomy._case import AnatomyCase, CaseChoices, CaseStructure, read_case
 from needleplan.anatomy._case_text import case_files, write_case
 from needleplan.anatomy._crossed import crossed_voxels
@@ -19,6 +20,7 @@ from needleplan.anatomy._drawing import (
 from needleplan.anatomy._file import (
     AnatomyFile,
     AnatomyRegions,
+    NamedEntry,
     NamedTarget,
     Region,
     SpaceLattice,
@@ -53,10 +55,12 @@ __all__ = [
     "AnatomyFile",
     "AnatomyGrid",
     "AnatomyRegions",
+    "Breathing",
     "CaseChoices",
     "CaseStructure",
     "HalfSpace",
     "LabelVolume",
+    "NamedEntry",
     "NamedTarget",
     "Region",
     "SpaceFrame",

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from needleplan.anatomy._file import AnatomyFile, Region, Sphere
+from needleplan.anatomy._breathing import TissueMotion
+from needleplan.anatomy._file import AnatomyFile, AnatomyRegions, Region, Sphere
 from needleplan.anatomy._labels import label_number, read_color_table, read_volume
 from needleplan.anatomy._volume import labels_present
 from needleplan.artifacts import short_html, short_repr
@@ -18,7 +20,7 @@ from needleplan.config import read_toml
 from needleplan.errors import Mistake, ScenarioError
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
+    from numpy.typing import ArrayLike, NDArray
 
     from needleplan.anatomy._volume import LabelVolume
 
@@ -39,6 +41,12 @@ class Anatomy:
         Numbers of labels by name.
     source : str, optional
         Name of the anatomy file in messages. Default: no name.
+    motion : TissueMotion, optional
+        How the tissue moves by breathing. Default: it is at rest.
+    exhaled : Anatomy, optional
+        The anatomy at the end of an exhalation, as in the file. Default: this anatomy.
+    balls : dict, optional
+        Where balls of the file are at this level of inspiration. Default: where the file has them.
 
     Raises
     ------
@@ -51,16 +59,22 @@ class Anatomy:
     volume: LabelVolume
     names: dict[str, int]
     source: str = ""
+    motion: TissueMotion | None = None
+    exhaled: Anatomy | None = None
+    balls: Mapping[Sphere, Sphere] = field(default_factory=dict)
 
     __repr__ = short_repr
     _repr_html_ = short_html
 
     def __post_init__(self) -> None:
+        if self.exhaled is not None:
+            return  # it was checked
         mistakes: list[Mistake] = []
-        regions = self.file.anatomy
+        regions = self.regions
         aims = zip(regions.aim_keys, ((aim.region,) for aim in regions.aims), strict=True)
         listed: list[tuple[str, tuple[Region, ...]]] = [
-            ("obstacles", regions.obstacles), ("outside", regions.outside), *aims, ("entry", (regions.entry,)),
+            ("obstacles", regions.obstacles), ("outside", regions.outside), *aims,
+            *((key, (each.region,)) for key, each in regions.entrances.items()),
             ("curvature.label", tuple(each.label for each in regions.curvature)),
         ]  # fmt: skip
         present = {int(label) for label in labels_present(self.volume.labels)}
@@ -137,7 +151,47 @@ class Anatomy:
         names = dict(volume.names)
         if file.anatomy.labels:
             names |= read_color_table(folder / file.anatomy.labels)
-        return cls(file, volume, names, source)
+        if file.breathing is None:
+            return cls(file, volume, names, source)
+        exhaled = cls(file, volume, names, source, TissueMotion.read(file.breathing, names, folder))
+        return exhaled.inspired(file.breathing.level) if file.breathing.level else exhaled
+
+    @cached_property
+    def regions(self) -> AnatomyRegions:
+        """The regions of the file; balls are where they are at this level of inspiration."""
+        regions = self.file.anatomy
+
+        def moved(region: Any) -> Any:
+            return self.balls.get(region, region) if isinstance(region, Sphere) else region
+
+        targets = tuple(replace(aim, region=moved(aim.region)) for aim in regions.targets)
+        entries = tuple(replace(each, region=moved(each.region)) for each in regions.entries)
+        target, entry = moved(regions.target), moved(regions.entry)
+        return replace(regions, target=target, entry=entry, targets=targets, entries=entries)
+
+    def inspired(self, level: float, near_mm: NDArray[np.float64] | None = None) -> Anatomy:
+        """Return the anatomy at a level of inspiration, from 0 at the end of an exhalation to 1.
+
+        Parameters
+        ----------
+        level : float
+            Level of inspiration.
+        near_mm : numpy.ndarray, optional
+            Points in RAS (mm), shape (n, 3), to whose surroundings the volume is cropped. Default: the whole volume.
+
+        Returns
+        -------
+        Anatomy
+        """
+        assert self.motion is not None
+        exhaled = self.exhaled or self
+        regions = exhaled.file.anatomy
+        named = [each.region for each in regions.aims] + [each.region for each in regions.entrances.values()]
+        balls = [each for each in named if isinstance(each, Sphere)]
+        centers = [each.center_mm for each in balls]
+        volume, places = self.motion.moved(exhaled.volume, level, centers, near_mm)
+        moved = {ball: replace(ball, center_mm=place) for ball, place in zip(balls, places, strict=True)}
+        return replace(exhaled, volume=volume, exhaled=exhaled, balls=moved)
 
     def numbers(self, labels: tuple[str | int, ...]) -> list[int]:
         """Return the numbers of labels."""
@@ -172,13 +226,47 @@ class Anatomy:
         within[box] = far <= radius_mm
         return within
 
+    def inside_entries(self, *, touched: bool = False) -> NDArray[np.bool_]:
+        """Return which voxels belong to an entry region.
+
+        Parameters
+        ----------
+        touched : bool, default False
+            As for `inside`.
+
+        Returns
+        -------
+        numpy.ndarray
+            Boolean, of the shape of the volume.
+        """
+        parts = (self.inside(each.region, touched=touched) for each in self.regions.entrances.values())
+        return np.asarray(np.logical_or.reduce(list(parts)))
+
+    def entry_name(self, position_mm: ArrayLike) -> str:
+        """Return the name of the entry region that is nearest to a point.
+
+        Parameters
+        ----------
+        position_mm : array_like
+            Entry point in RAS (mm), shape (3,).
+
+        Returns
+        -------
+        str
+        """
+
+        def away_mm(region: Region) -> float:
+            return float(np.linalg.norm(self.points(region) - np.asarray(position_mm), axis=-1).min())
+
+        return min(self.regions.entrances.values(), key=lambda each: away_mm(each.region)).name
+
     def points(self, region: Region) -> NDArray[np.float64]:
         """Return the centres of the voxels of a region in RAS mm, shape (n, 3)."""
         return self.volume.world(np.argwhere(self.inside(region)))
 
     def _twice(self) -> Iterator[Mistake]:
         """Yield the mistakes of labels that are named twice, by name and by number, with different meanings."""
-        regions = self.file.anatomy
+        regions = self.regions
         first: dict[int, int] = {}
         for place, each in enumerate(regions.curvature, start=1):
             (number,) = self.numbers((each.label,))
@@ -199,11 +287,12 @@ class Anatomy:
 
     def _overlaps(self) -> list[Mistake]:
         """Return the mistakes of a target or entry region that lies in obstacles or outside."""
-        regions, found = self.file.anatomy, []
+        regions, found = self.regions, []
         for kind, labels in (("obstacles", regions.obstacles), ("outside", regions.outside)):
             closed = self.numbers(labels)
             aims = zip(regions.aim_keys, (aim.region for aim in regions.aims), strict=True)
-            for key, region in (*aims, ("entry", regions.entry)):
+            entrances = ((key, each.region) for key, each in regions.entrances.items())
+            for key, region in (*aims, *entrances):
                 if np.isin(self.volume.labels[self.inside(region)], closed).all():
                     found.append(Mistake(f"anatomy.{key}", str(region), f"all of its voxels belong to anatomy.{kind}"))
         return found

@@ -184,9 +184,7 @@ def _read_all(folder: Path) -> tuple[list[Structure], list[MarkedPoint]]:
         raise ScenarioError(f"cannot be read: {error.strerror}", str(folder)) from None
     masks = [each for each in files if each.name.lower().endswith(MASK_ENDINGS)]
     if not masks:
-        dicom = any(each.suffix.lower() == ".dcm" for each in files)
-        rule = f"has no segmentation: files {', '.join(MASK_ENDINGS)}"
-        raise ScenarioError(rule + ("; export DICOM SEG as .seg.nrrd from 3D Slicer" if dicom else ""), str(folder))
+        raise ScenarioError(f"has no segmentation: files {', '.join(MASK_ENDINGS)}", str(folder))
     stems, mistakes = {stem_of(mask) for mask in masks}, list[Mistake]()
     structures: list[Structure] = []
     points: list[MarkedPoint] = []

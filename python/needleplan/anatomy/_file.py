@@ -10,10 +10,11 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
+from needleplan.anatomy._breathing import Breathing
+from needleplan.anatomy._labels import LabelRule, LabelsRule
 from needleplan.anatomy._limits import SpaceLimits
 from needleplan.artifacts import short_html, short_repr
 from needleplan.config import (
-    REQUIRED,
     ConfigTable,
     Flag,
     Integer,
@@ -28,7 +29,6 @@ from needleplan.config import (
     parse_toml,
     raw_of,
     ruled,
-    sequence,
     toml_text,
 )
 from needleplan.errors import Mistake, ScenarioError
@@ -38,6 +38,7 @@ __all__ = [
     "SPACINGS_MM",
     "AnatomyFile",
     "AnatomyRegions",
+    "NamedEntry",
     "NamedTarget",
     "Region",
     "SpaceLattice",
@@ -47,7 +48,7 @@ __all__ = [
     "TissueCurvature",
 ]
 
-# Largest number of targets of an anatomy.
+# Largest number of targets, and of entry regions, of an anatomy.
 _MOST_TARGETS = 20
 # Words of `entry --rank` that cannot be names of targets.
 _RANKS = ("expected", "all")
@@ -65,31 +66,6 @@ _LENGTH = Number("mm", above=0, at_most=1000)
 _RADIUS = Number("mm", at_least=1, at_most=1e6)
 _COST = Number(at_least=0, at_most=1e9)
 _FAILURE = Number(above=0, at_most=1e9)
-
-
-@dataclass(frozen=True)
-class _Label:
-    """Rule for a label: its name, or its number."""
-
-    def read(self, value: object) -> str | int:
-        """Return the name or number. Raises Violation."""
-        if isinstance(value, int) and not isinstance(value, bool) and 0 <= value <= 65535:
-            return value
-        if isinstance(value, str) and value.strip():
-            return value
-        raise Violation("must be the name of a label, or its number from 0 to 65535", value)
-
-
-@dataclass(frozen=True)
-class _Labels:
-    """Rule for a list of labels."""
-
-    def read(self, value: object) -> tuple[str | int, ...]:
-        """Return the labels as a tuple. Raises Violation."""
-        entries = sequence(value)
-        if entries is None:
-            raise Violation("must be a list of labels", value)
-        return tuple(_Label().read(entry) for entry in entries)
 
 
 _MARGIN = Number("mm", at_least=0, at_most=100)
@@ -135,7 +111,7 @@ class _Region:
         """Return the label or the ball. Raises Violation."""
         if isinstance(value, Sphere):
             return value
-        return build(Sphere, value) if isinstance(value, Mapping) else _Label().read(value)
+        return build(Sphere, value) if isinstance(value, Mapping) else LabelRule().read(value)
 
 
 @dataclass(frozen=True)
@@ -147,10 +123,18 @@ class NamedTarget(ConfigTable, key="anatomy.targets", error=ScenarioError):
 
 
 @dataclass(frozen=True)
+class NamedEntry(ConfigTable, key="anatomy.entries", error=ScenarioError):
+    """One of several entry regions: its name, and a label or a ball."""
+
+    name: str = ruled(Text(80, filled=True, one_line=True))
+    region: Region = ruled(_Region())
+
+
+@dataclass(frozen=True)
 class TissueCurvature(ConfigTable, key="anatomy.curvature", error=ScenarioError):
     """Radius of the needle's arc (mm) in the voxels of a label."""
 
-    label: str | int = ruled(_Label())
+    label: str | int = ruled(LabelRule())
     radius_mm: float = ruled(_RADIUS)
 
 
@@ -170,6 +154,16 @@ def _one_or_several(target: Region | None, targets: tuple[NamedTarget | None, ..
         yield Mistake("target", "", "is missing")
     if target is not None and targets:
         yield Mistake("targets", f"{len(targets)} tables", "anatomy.target is given, too: leave out one of them")
+
+
+def _one_entry_or_several(entry: Region | None, entries: tuple[NamedEntry | None, ...]) -> Iterator[Mistake]:
+    if entry is None and not entries:
+        yield Mistake("entry", "", "is missing")
+    if entry is not None and entries:
+        yield Mistake("entries", f"{len(entries)} tables", "anatomy.entry is given, too: leave out one of them")
+    names = [each.name for each in entries if each is not None]
+    for name in sorted({name for name in names if names.count(name) > 1}):
+        yield Mistake("entries.name", name, "is the name of two entry regions: names must differ")
 
 
 def _different_targets(targets: tuple[NamedTarget | None, ...]) -> Iterator[Mistake]:
@@ -192,24 +186,37 @@ class AnatomyRegions(
     ConfigTable,
     key="anatomy",
     error=ScenarioError,
-    between=(_no_label_twice, _margins_of_obstacles, _one_or_several, _different_targets),
+    between=(_no_label_twice, _margins_of_obstacles, _one_or_several, _different_targets, _one_entry_or_several),
 ):
     """The volume, and the meaning of its labels. Regions are labels, or balls in RAS mm.
 
-    There is one `target`, or there are several `targets`. `margin_mm` holds for all obstacles that have no own in
-    `margins_mm`.
+    There is one `target`, or there are several `targets`; the same holds for `entry` and `entries`.
+    `margin_mm` holds for all obstacles that have no own in `margins_mm`.
     """
 
     file: str = ruled(Text(filled=True))
     target: Region | None = ruled(Maybe(_Region()), None)
-    entry: Region = ruled(_Region(), REQUIRED)
+    entry: Region | None = ruled(Maybe(_Region()), None)
     labels: str | None = ruled(Maybe(Text(filled=True)), None)
-    obstacles: tuple[str | int, ...] = ruled(_Labels(), ())
-    outside: tuple[str | int, ...] = ruled(_Labels(), ())
+    obstacles: tuple[str | int, ...] = ruled(LabelsRule(), ())
+    outside: tuple[str | int, ...] = ruled(LabelsRule(), ())
     margin_mm: float = ruled(_MARGIN, 0.0)
     margins_mm: Mapping[str, float] = ruled(_MarginRule(), factory=dict)
     curvature: tuple[TissueCurvature, ...] = ruled(TableList(TissueCurvature, at_most=200), ())
     targets: tuple[NamedTarget, ...] = ruled(TableList(NamedTarget, at_most=_MOST_TARGETS), ())
+    entries: tuple[NamedEntry, ...] = ruled(TableList(NamedEntry, at_most=_MOST_TARGETS), ())
+
+    @property
+    def entrances(self) -> dict[str, NamedEntry]:
+        """The entry regions by their keys in messages, without "anatomy."; a single one has the name "entry"."""
+        if self.entry is not None:
+            return {"entry": NamedEntry("entry", self.entry)}
+        return {f'entries {place} ("{each.name}").region': each for place, each in enumerate(self.entries, start=1)}
+
+    @property
+    def entry_text(self) -> str:
+        """The entry region, or the names of several, for messages."""
+        return ", ".join(each.name for each in self.entries) or str(self.entry)
 
     @property
     def aims(self) -> tuple[NamedTarget, ...]:
@@ -342,6 +349,7 @@ class AnatomyFile(
     objective: SpaceObjective = ruled(Subtable(SpaceObjective), SpaceObjective())
     title: str = ruled(Text(), "")
     limits: SpaceLimits | None = ruled(Maybe(Subtable(SpaceLimits)), None)
+    breathing: Breathing | None = ruled(Maybe(Subtable(Breathing)), None)
 
     __repr__ = short_repr
     _repr_html_ = short_html

@@ -113,6 +113,12 @@ class SpaceFrame:
         """Return the points of the frame (mm) of RAS positions (mm), shape (..., 3)."""
         return np.asarray((np.asarray(world_mm, np.float64) - self.origin_mm) @ self.axes.T)
 
+    @property
+    def corners_mm(self) -> NDArray[np.float64]:
+        """Corners of a box in RAS (mm) that contains the lattice, shape (8, 3)."""
+        corners = np.array([[i, j, k] for i in (0, 1) for j in (0, 1) for k in (0, 1)])
+        return self.world(corners * self.shape * self.spacing_mm)
+
     def letters(self, axis: int) -> tuple[str, str]:
         """Return the anatomical directions of the low and of the high end of an axis (0 x, 1 y, 2 z).
 
@@ -175,13 +181,13 @@ def _needed_bytes(anatomy: Anatomy, frame: SpaceFrame) -> int:
 
 def _frame_with(anatomy: Anatomy, spacing_mm: float) -> SpaceFrame:
     """Return the frame of an anatomy with a spacing. Raises ScenarioError if entry region and target are too close."""
-    regions, lattice = anatomy.file.anatomy, anatomy.file.lattice
-    entry = anatomy.points(regions.entry)
+    regions, lattice = anatomy.regions, anatomy.file.lattice
+    entry = np.concatenate([anatomy.points(each.region) for each in regions.entrances.values()])
     target = np.concatenate([anatomy.points(aim.region) for aim in regions.aims])
     along = target.mean(0) - entry.mean(0)
     if np.linalg.norm(along) < 2 * spacing_mm:
         rule = "its centroid must be at least two lattice.spacing_mm from the centroid of the target"
-        raise ScenarioError(Mistake("anatomy.entry", str(regions.entry), rule), anatomy.source)
+        raise ScenarioError(Mistake("anatomy.entry", regions.entry_text, rule), anatomy.source)
     x = along / np.linalg.norm(along)
     up = np.array([0.0, 1.0, 0.0] if abs(x[2]) > _STEEP else [0.0, 0.0, 1.0])
     z = up - (up @ x) * x
@@ -275,12 +281,8 @@ def file_distances(volume: LabelVolume, obstacle: NDArray[np.bool_], frame: Spac
     """Return the distances of the voxels of a file near a frame to those of `obstacle`; empty if there are none."""
     from scipy import ndimage
 
-    corners = np.array([[i, j, k] for i in (0, 1) for j in (0, 1) for k in (0, 1)]) * frame.shape * frame.spacing_mm
-    reach = volume.voxels(frame.world(corners))
-    more = _FARTHEST_MM / volume.sizes_mm + 1
-    low = np.clip(np.floor(reach.min(0) - more), 0, obstacle.shape).astype(np.int64)
-    high = np.clip(np.ceil(reach.max(0) + more) + 1, 0, obstacle.shape).astype(np.int64)
-    part = obstacle[tuple(slice(a, b) for a, b in zip(low, high, strict=True))]
+    low, box = volume.near(frame.corners_mm, _FARTHEST_MM)
+    part = obstacle[box]
     if part.size * _BYTES_OF_DISTANCES > 2 * largest_bytes():
         shown, needed = " x ".join(map(str, part.shape)), part.size * _BYTES_OF_DISTANCES / 2**30
         rule = f"distances to obstacles in {shown} voxels need {needed:.1f} GiB, more than half of the memory: crop it"

@@ -116,25 +116,44 @@ def grid_of(anatomy: Anatomy) -> AnatomyGrid:
     Raises ScenarioError if target or entry region have no free grid point, no tissue connects them, or there are
     several targets (`grids_of`).
     """
-    if several := anatomy.file.anatomy.targets:
-        rule = "has several targets: choose one, as `needleplan plan --target-name NAME` does, or rank entries for all"
+    if several := anatomy.regions.targets:
+        names = ", ".join(aim.name for aim in several)
+        rule = (
+            f"has several targets: name one ({names}) by `target_name` in Python or `plan --target-name`, whose table "
+            "`view` and `insert` take, or rank entries for all by `needleplan entry`"
+        )
         raise ScenarioError(Mistake("anatomy.targets", f"{len(several)} tables", rule), anatomy.source)
     return grids_of(anatomy)[0]
 
 
-def grids_of(anatomy: Anatomy) -> list[AnatomyGrid]:
+def grids_of(anatomy: Anatomy, within: SpaceFrame | None = None) -> list[AnatomyGrid]:
     """Return an anatomy on the grid points of its lattice, for each target.
 
-    The grids share their frame and all arrays but `voxels`, `possible` and `target`. Raises ScenarioError as `grid_of`.
+    Parameters
+    ----------
+    anatomy : Anatomy
+        The anatomy.
+    within : SpaceFrame, optional
+        Frame of grids for executions, which need no entry and no target. Default: that of the anatomy.
+
+    Returns
+    -------
+    list of AnatomyGrid
+        They share their frame and all arrays but `voxels`, `possible` and `target`.
+
+    Raises
+    ------
+    ScenarioError
+        As `grid_of`.
     """
-    regions, volume = anatomy.file.anatomy, anatomy.volume
+    regions, volume = anatomy.regions, anatomy.volume
     aims = [aim.region for aim in regions.aims]
-    frame = frame_of(anatomy)
+    frame = within or frame_of(anatomy)
     obstacle = np.isin(volume.labels, anatomy.numbers(regions.obstacles))
     distances = file_distances(volume, obstacle, frame)
     outside = np.isin(volume.labels, anatomy.numbers(regions.outside))
     meaning = obstacle * np.uint8(IS_OBSTACLE) + outside * np.uint8(IS_OUTSIDE)
-    meaning += anatomy.inside(regions.entry) * np.uint8(IS_ENTRY)
+    meaning += anatomy.inside_entries() * np.uint8(IS_ENTRY)
     growths = _growths(anatomy)
     refinement = refinement_of(volume.sizes_mm, frame.spacing_mm)
     targets = [aim if isinstance(aim, Sphere) else anatomy.numbers((aim,))[0] for aim in aims]
@@ -147,7 +166,7 @@ def grids_of(anatomy: Anatomy) -> list[AnatomyGrid]:
     entry = _with_entries_between(at_points, volume, (meaning & IS_ENTRY) > 0, frame, codes, distances)
     meaning_of_centres = meaning.copy()
     # The proof holds for the whole of a ball.
-    meaning |= anatomy.inside(regions.entry, touched=True) * np.uint8(IS_ENTRY)
+    meaning |= anatomy.inside_entries(touched=True) * np.uint8(IS_ENTRY)
     possible = possible_cells(volume, meaning, frame, (anatomy.inside(aim, touched=True) for aim in aims))
     clearance = distances.at_points(volume, frame)
     farthest_mm = max(growths.growths_mm) + math.sqrt(3) * frame.spacing_mm / refinement
@@ -159,7 +178,7 @@ def grids_of(anatomy: Anatomy) -> list[AnatomyGrid]:
         )
         for aim, own, cells in zip(aims, voxels, possible, strict=True)
     ]
-    mistakes = _mistakes(anatomy, grids)
+    mistakes = [] if within else _mistakes(anatomy, grids)
     if mistakes:
         raise ScenarioError(mistakes, anatomy.source)
     return grids
@@ -199,7 +218,7 @@ def _with_entries_between(
 
 def _growths(anatomy: Anatomy) -> Growths:
     """Return by how much the obstacles are grown: by their margin and half of the needle."""
-    regions, half_mm = anatomy.file.anatomy, (anatomy.file.needle.thickness_mm or 0.0) / 2
+    regions, half_mm = anatomy.regions, (anatomy.file.needle.thickness_mm or 0.0) / 2
     margins = [float(regions.margins_mm.get(str(label), regions.margin_mm)) for label in regions.obstacles]
     different = sorted({*margins, regions.margin_mm})
     kinds = np.zeros(65536, np.uint8)
@@ -210,7 +229,7 @@ def _growths(anatomy: Anatomy) -> Growths:
 
 
 def _tissues(anatomy: Anatomy, frame: SpaceFrame) -> tuple[NDArray[np.uint8], tuple[float, ...]]:
-    curvature = anatomy.file.anatomy.curvature
+    curvature = anatomy.regions.curvature
     radii = (anatomy.file.needle.curvature_radius_mm, *(each.radius_mm for each in curvature))
     numbers = np.zeros(65536, np.uint8)
     for place, each in enumerate(curvature, start=1):
@@ -223,13 +242,13 @@ def _mistakes(anatomy: Anatomy, grids: list[AnatomyGrid]) -> list[Mistake]:
     """Return the mistakes that only the lattice shows."""
     from scipy import ndimage
 
-    regions, frame, entry = anatomy.file.anatomy, grids[0].frame, grids[0].entry
+    regions, frame, entry = anatomy.regions, grids[0].frame, grids[0].entry
     found = []
     smaller = [f"a margin below {regions.largest_margin_mm:g} mm"] if regions.largest_margin_mm > 0 else []
     hint = f"take {' or '.join([*smaller, f'a spacing below {frame.spacing_mm:g} mm'])}"
     aims = list(zip(regions.aim_keys, (aim.region for aim in regions.aims), grids, strict=True))
     places = [(key, region, grid.voxels == TARGET) for key, region, grid in aims]
-    for key, region, there in (*places, ("entry", regions.entry, entry)):
+    for key, region, there in (*places, ("entry", regions.entry_text, entry)):
         if not there.any():
             rule = f"no voxel of the lattice lies in it, apart from obstacles, their margin and outside: {hint}"
             found.append(Mistake(f"anatomy.{key}", str(region), rule))
@@ -243,5 +262,5 @@ def _mistakes(anatomy: Anatomy, grids: list[AnatomyGrid]) -> list[Mistake]:
                 found.append(Mistake(f"anatomy.{key}", str(region), rule))
             else:
                 rule = "lies in another body than anatomy.target: labels in anatomy.outside separate them"
-                found.append(Mistake("anatomy.entry", str(regions.entry), rule))
+                found.append(Mistake("anatomy.entry", regions.entry_text, rule))
     return found

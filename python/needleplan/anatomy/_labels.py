@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -13,7 +13,7 @@ import numpy as np
 from needleplan.anatomy._nifti import read_nifti
 from needleplan.anatomy._nrrd import read_nrrd
 from needleplan.anatomy._volume import is_label
-from needleplan.config import suggestion
+from needleplan.config import Violation, sequence, suggestion
 from needleplan.errors import Mistake, ScenarioError
 
 if TYPE_CHECKING:
@@ -21,11 +21,44 @@ if TYPE_CHECKING:
 
     from needleplan.anatomy._volume import LabelVolume
 
-__all__ = ["label_number", "read_color_table", "read_labels", "read_volume", "require_libraries"]
+__all__ = [
+    "LabelRule",
+    "LabelsRule",
+    "label_number",
+    "read_color_table",
+    "read_labels",
+    "read_volume",
+    "require_libraries",
+]
 
 # Form and number of words of a line of a colour table.
 _LINE, _WORDS = "must be NUMBER NAME R G B A", 6
 _READERS = {".nii": read_nifti, ".nii.gz": read_nifti, ".nrrd": read_nrrd, ".nhdr": read_nrrd}
+
+
+@dataclass(frozen=True)
+class LabelRule:
+    """Rule for a label: its name, or its number."""
+
+    def read(self, value: object) -> str | int:
+        """Return the name or number. Raises Violation."""
+        if isinstance(value, int) and not isinstance(value, bool) and 0 <= value <= 65535:
+            return value
+        if isinstance(value, str) and value.strip():
+            return value
+        raise Violation("must be the name of a label, or its number from 0 to 65535", value)
+
+
+@dataclass(frozen=True)
+class LabelsRule:
+    """Rule for a list of labels."""
+
+    def read(self, value: object) -> tuple[str | int, ...]:
+        """Return the labels as a tuple. Raises Violation."""
+        entries = sequence(value)
+        if entries is None:
+            raise Violation("must be a list of labels", value)
+        return tuple(LabelRule().read(entry) for entry in entries)
 
 
 def read_volume(path: str | os.PathLike[str]) -> LabelVolume:

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from needleplan.anatomy._dicom import dicom_segments
 from needleplan.anatomy._labels import read_labels
 from needleplan.anatomy._nifti import extension_names
 from needleplan.anatomy._nrrd import is_layered, read_layers
@@ -25,7 +26,7 @@ if TYPE_CHECKING:
 __all__ = ["MASK_ENDINGS", "Structure", "read_structures", "stem_of"]
 
 # Endings of the names of segmentation files.
-MASK_ENDINGS = (".nii", ".nii.gz", ".nrrd", ".nhdr")
+MASK_ENDINGS = (".nii", ".nii.gz", ".nrrd", ".nhdr", ".dcm")
 # Longer endings that are no part of a structure's name.
 _STEMS = (".seg.nrrd", *sorted(MASK_ENDINGS, key=len, reverse=True))
 
@@ -69,6 +70,13 @@ def read_structures(file: Path, tables: Mapping[str, Mapping[str, int]]) -> list
     of the only one, else a mask without other labels has the stem of its file. Raises ScenarioError if the file cannot
     be read, or has several labels without names.
     """
+    if file.name.lower().endswith(".dcm"):
+        found: list[Structure] = []
+        for segment, matrix, mask in dicom_segments(file):  # one at a time, for the memory
+            if any(segment == each.name for each in found):
+                raise ScenarioError(Mistake("SegmentLabel", segment, "is the name of two segments"), str(file))
+            found += _structures([mask], matrix, {segment: (0, 1)}, str(file))
+        return found
     if is_layered(file):
         layers, affine, layered = read_layers(file)
         return list(_structures(layers, affine, layered, str(file)))

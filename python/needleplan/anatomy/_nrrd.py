@@ -15,7 +15,7 @@ from needleplan.anatomy._bytes import counted_bytes, exact_bytes, require_size
 from needleplan.anatomy._volume import LabelVolume, is_label, whole_labels
 from needleplan.errors import Mistake, ScenarioError
 
-__all__ = ["is_layered", "read_layers", "read_nrrd"]
+__all__ = ["is_layered", "read_displacements", "read_layers", "read_nrrd"]
 
 # Signs that turn each space into RAS.
 _SPACES = {
@@ -32,8 +32,8 @@ _TYPES = {
     "uint64_t": "u8", "float": "f4", "double": "f8",
 }  # fmt: skip
 _ENCODINGS = {"raw": False, "gzip": True, "gz": True}
-# Number of axes of a segmentation with layers.
-_LAYERED = 4
+# Number of axes of a segmentation with layers, and of components of a vector.
+_LAYERED, _COMPONENTS = 4, 3
 # Largest header (bytes).
 _LONGEST_HEADER = 2**20
 
@@ -78,12 +78,47 @@ def read_layers(path: Path) -> tuple[list[np.ndarray], np.ndarray, dict[str, tup
     Raises ScenarioError if the file is damaged, or its segments name a layer that it has not.
     """
     source = str(path)
+    values, affine, header = _listed(path, ("list",), "layers")
+    layers = [whole_labels(each, source) for each in values]
+    segments = {}
+    for name, label in _names(header, source).items():
+        keys = (key for key, text in header.items() if re.fullmatch(r"Segment\d+_Name", key) and text == name)
+        number = next(keys).removeprefix("Segment").removesuffix("_Name")
+        layer = str(header.get(f"Segment{number}_Layer", "0"))
+        if not is_label(layer) or int(layer) >= len(layers):
+            rule = f"must be a layer of the file, from 0 to {len(layers) - 1}"
+            raise ScenarioError(Mistake(f"Segment{number}_Layer", layer, rule), source)
+        segments[name] = (int(layer), label)
+    return layers, affine, segments
+
+
+def read_displacements(path: Path) -> tuple[np.ndarray, np.ndarray]:
+    """Return a displacement field in RAS mm, shape (3, ni, nj, nk), and the matrix from its voxels to RAS mm.
+
+    The file is one of ITK or 3D Slicer: vectors as the first axis, in the space that the header states. Raises
+    ScenarioError.
+    """
+    if not path.name.lower().endswith((".nrrd", ".nhdr")):
+        rule = "must be an NRRD file (.nrrd) with vectors as its first axis; 3D Slicer and ITK export one"
+        raise ScenarioError(Mistake("breathing.field", path.name, rule), str(path))
+    values, affine, header = _listed(path, ("vector", "covariant-vector", "list"), "vectors")
+    if len(values) != _COMPONENTS:
+        raise ScenarioError(
+            Mistake("sizes", f"{len(values)}", "must begin with 3, for vectors of 3 numbers"), str(path)
+        )
+    signs = np.array(_SPACES[str(header["space"]).lower()], np.float32)
+    return np.asarray(values, np.float32) * signs[:, None, None, None], affine
+
+
+def _listed(path: Path, kinds: tuple[str, ...], noun: str) -> tuple[np.ndarray, np.ndarray, dict[str, Any]]:
+    """Return the values of a file with a list or vectors as its first axis, the matrix to RAS mm, and the header."""
+    source = str(path)
     try:
         with path.open("rb") as stream:
             header = _header(stream, source)
             sizes = [int(size) for size in header["sizes"]]
-            if str(header.get("kinds", [""])[0]) != "list" or header.get("data file") is not None:
-                rule = "must be a volume, or layers in one file with a list as the first axis"
+            if str(header.get("kinds", [""])[0]) not in kinds or header.get("data file") is not None:
+                rule = f"must be a volume, or {noun} in one file with a {kinds[0]} as the first axis"
                 raise ScenarioError(Mistake("kinds", str(header.get("kinds")), rule), source)
             header["sizes"] = sizes[1:]
             if (directions := header.get("space directions")) is not None:
@@ -93,20 +128,9 @@ def read_layers(path: Path) -> tuple[list[np.ndarray], np.ndarray, dict[str, tup
             stored = path.stat().st_size - stream.tell()
             require_size(count, stored, encoding, "sizes", source)
             data = exact_bytes(stream, count, source, compressed=encoding)
-    except (OSError, TypeError, ValueError, MemoryError) as error:
+    except (OSError, KeyError, TypeError, ValueError, MemoryError) as error:
         raise ScenarioError(f"cannot be read: {error}", source) from None
-    values = np.frombuffer(data, kind).reshape(sizes, order="F")
-    layers = [whole_labels(values[number], source) for number in range(sizes[0])]
-    segments = {}
-    for name, label in _names(header, source).items():
-        keys = (key for key, text in header.items() if re.fullmatch(r"Segment\d+_Name", key) and text == name)
-        number = next(keys).removeprefix("Segment").removesuffix("_Name")
-        layer = str(header.get(f"Segment{number}_Layer", "0"))
-        if not is_label(layer) or int(layer) >= sizes[0]:
-            rule = f"must be a layer of the file, from 0 to {sizes[0] - 1}"
-            raise ScenarioError(Mistake(f"Segment{number}_Layer", layer, rule), source)
-        segments[name] = (int(layer), label)
-    return layers, affine, segments
+    return np.frombuffer(data, kind).reshape(sizes, order="F"), affine, header
 
 
 def _header(stream: IO[bytes], source: str) -> dict[str, Any]:

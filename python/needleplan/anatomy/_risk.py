@@ -35,7 +35,7 @@ def obstacle_distances(anatomy: Anatomy, points_mm: NDArray[np.float64]) -> dict
     """
     from scipy.spatial import KDTree
 
-    volume, regions = anatomy.volume, anatomy.file.anatomy
+    volume, regions = anatomy.volume, anatomy.regions
     sizes = volume.sizes_mm
     index = volume.voxels(points_mm)
     low = np.clip(np.floor(index.min(0) - _FAR_MM / sizes), 0, volume.labels.shape).astype(np.int64)

@@ -14,6 +14,7 @@ from needleplan.anatomy._file import AnatomyFile, SpaceNeedle, Sphere
 from needleplan.anatomy._grid import AnatomyGrid, grid_of, grids_of
 from needleplan.anatomy._voxels import FREE, OUTSIDE, TARGET
 from needleplan.artifacts import digest, short_html, short_repr
+from needleplan.errors import Mistake, ScenarioError
 from needleplan.plotting import axes_or_new
 
 if TYPE_CHECKING:
@@ -52,9 +53,32 @@ class SpaceScenario:
     _repr_html_ = short_html
 
     @classmethod
-    def of(cls, anatomy: Anatomy) -> SpaceScenario:
-        """Return the scenario of an anatomy. Raises the ScenarioErrors of `grid_of`."""
-        return cls(anatomy.file, grid_of(anatomy), anatomy.source)
+    def of(cls, anatomy: Anatomy, target_name: str | None = None) -> SpaceScenario:
+        """Return the scenario of an anatomy.
+
+        Parameters
+        ----------
+        anatomy : Anatomy
+            The anatomy.
+        target_name : str, optional
+            Name of one of several targets. Default: the only target.
+
+        Returns
+        -------
+        SpaceScenario
+
+        Raises
+        ------
+        ScenarioError
+            As `grid_of`, or no target has this name.
+        """
+        names = [aim.name for aim in anatomy.file.anatomy.targets]
+        if target_name is None:
+            return cls(anatomy.file, grid_of(anatomy), anatomy.source)
+        if target_name not in names:
+            rule = f"must be the name of a target: {', '.join(names)}" if names else "is for several targets"
+            raise ScenarioError(Mistake("target_name", str(target_name), rule), anatomy.source)
+        return cls.of_targets(anatomy)[target_name]
 
     @classmethod
     def of_targets(cls, anatomy: Anatomy) -> dict[str, SpaceScenario]:
@@ -115,9 +139,9 @@ class SpaceScenario:
     @cached_property
     def target_mm(self) -> tuple[float, float, float]:
         """Centre of the target (mm): the centre of a ball, or the mean of the voxels of a label on the lattice."""
-        region, points = self.file.anatomy.target, self.grid.target_points_mm
-        center = self.grid.frame.local(region.center_mm) if isinstance(region, Sphere) else points.mean(0)
-        x, y, z = center.tolist()
+        if self.grid.target.ball is not None:
+            return self.grid.target.ball[:3]
+        x, y, z = self.grid.target_points_mm.mean(0).tolist()
         return x, y, z
 
     @cached_property

@@ -96,6 +96,26 @@ class LabelVolume:
         inverse = np.linalg.inv(self.affine[:3, :3])
         return np.asarray((np.asarray(world_mm, np.float64) - self.affine[:3, 3]) @ inverse.T)
 
+    def near(self, points_mm: NDArray[np.float64], more_mm: float) -> tuple[NDArray[np.int64], tuple[slice, ...]]:
+        """Return the voxels of the box about points that is larger by a length on each side.
+
+        Parameters
+        ----------
+        points_mm : numpy.ndarray
+            Points in RAS (mm), shape (n, 3).
+        more_mm : float
+            Length (mm).
+
+        Returns
+        -------
+        tuple
+            Index of the first voxel, shape (3,), and a slice along each axis; within the volume.
+        """
+        reach, more = self.voxels(points_mm), more_mm / self.sizes_mm + 1
+        low = np.clip(np.floor(reach.min(0) - more), 0, self.labels.shape).astype(np.int64)
+        high = np.clip(np.ceil(reach.max(0) + more) + 1, 0, self.labels.shape).astype(np.int64)
+        return low, tuple(slice(int(a), int(b)) for a, b in zip(low, high, strict=True))
+
 
 def orientation_mistakes(affine: NDArray[np.float64]) -> list[Mistake]:
     """Return the mistakes of an affine matrix; an empty list if it is the matrix of a volume."""

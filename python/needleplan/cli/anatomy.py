@@ -21,7 +21,16 @@ from needleplan.errors import InputError, Mistake
 
 if TYPE_CHECKING:
     from needleplan.anatomy import Anatomy
-    from needleplan.planning import AnatomyPlane, EntryMap, SpaceEntry, SpaceTable, Success, Uncertainty, Unreached
+    from needleplan.planning import (
+        AnatomyPlane,
+        EntryMap,
+        ResidualSuccess,
+        SpaceEntry,
+        SpaceTable,
+        Success,
+        Uncertainty,
+        Unreached,
+    )
 
 __all__ = ["add_anatomy", "is_anatomy", "require_no_anatomy", "run_anatomy_entries", "run_table_entries"]
 
@@ -143,7 +152,7 @@ def _run_entries(
 ) -> int:
     """Rank the entries, write what the options name, and return the exit code."""
     from needleplan.anatomy import obstacle_distances
-    from needleplan.planning import best_plane, impossible_message, unreached
+    from needleplan.planning import best_plane, impossible_message, success_in_breath, unreached
 
     top = _TOP if options.top is None else options.top
     with working(options, "looking for the best entries"):
@@ -152,7 +161,11 @@ def _run_entries(
         ranked = [entries.entry(number) for number in numbers]
         realised = entries.realised(numbers[0], _RUNS) if ranked else None
         promise = promised(entries.table, uncertainty, entries.poses[numbers[0]]) if ranked else None
+        several = anatomy and anatomy.file.anatomy.entries
+        regions = [anatomy.entry_name(each.position_mm) for each in ranked] if anatomy and several else []
         near = [obstacle_distances(anatomy, entries.path_mm(each)) for each in numbers] if anatomy else []
+        breathes = ranked and anatomy and anatomy.file.breathing
+        breaths = success_in_breath(entries.table, anatomy, entries.poses[numbers]) if anatomy and breathes else []
         hopeless = None if entries.impossible else unreached(entries, numbers)
         plane = best_plane(entries.table.scenario) if options.plane_out else None
     if ranked and numbers[0] != entries.first(exact=options.exact_entry):
@@ -169,14 +182,16 @@ def _run_entries(
         note(f"drew {options.figure}")
     if options.json:
         print_json(
-            _record(entries, ranked, realised, hopeless, near)
+            _record(entries, ranked, realised, hopeless, near, breaths, regions)
             | promise_record(promise)
             | ({"plane": _plane_record(entries, plane)} if plane else {})
         )
     else:
         print(one_line(entries.table.scenario.title or options.table))
-        for line in _lines(entries, ranked, realised, exact=options.exact_entry):
+        for line in _lines(entries, ranked, realised, regions, exact=options.exact_entry):
             print(one_line(line))
+        for line in _breath_lines(breaths):
+            print(line)
         for rank, risks in enumerate(near if options.verbose else [], start=1):
             listed = ", ".join(f"{name} {distance:.1f} mm" for name, distance in risks.items())
             print(one_line(f"  nearest to path {rank}: {listed or 'no obstacle within 30 mm'}"))
@@ -230,7 +245,9 @@ def _refuse(options: argparse.Namespace, names: dict[str, Any], rule: str) -> No
             raise InputError(Mistake(name, str(value), rule))
 
 
-def _lines(entries: EntryMap, ranked: list[SpaceEntry], realised: float | None, *, exact: bool) -> Iterator[str]:
+def _lines(
+    entries: EntryMap, ranked: list[SpaceEntry], realised: float | None, regions: list[str], *, exact: bool
+) -> Iterator[str]:
     """Yield the lines of the ranked list. Losses of success are in percentage points."""
     reaching = int((entries.success >= 0.5).sum())
     yield (
@@ -259,10 +276,20 @@ def _lines(entries: EntryMap, ranked: list[SpaceEntry], realised: float | None, 
             f"  {number:>4}  {'  '.join((alone, expected) if exact else (expected, alone))}  "
             f"{each.clearance_mm:>6.1f} mm  {each.length_mm:>3.0f} mm  "
             f"{each.turns:>5}  {100 * each.shift_cost:>9.1f}  {100 * each.tilt_cost:>10.1f}  "
-            f"{place:<22}  {along}{missed}"
+            f"{place:<22}  {along}{f'  in {regions[number - 1]}' if regions else ''}{missed}"
         )
     if realised is not None:
         yield f"  the best entry reached the target in {percent(realised)} of {_RUNS:,} executions with noise"
+
+
+def _breath_lines(breaths: list[ResidualSuccess]) -> Iterator[str]:
+    """Yield the lines on the success of the ranked entries with a residual of breathing."""
+    if breaths:
+        yield "  success if breathing moves the tissue by up to  " + "  ".join(
+            f"{x.residual_mm:>4g} mm" for x in breaths
+        )
+    for number in range(len(breaths[0].entries) if breaths else 0):
+        yield f"  {number + 1:>4}{'':43}" + "  ".join(f"{percent(x.entries[number].value):>7}" for x in breaths)
 
 
 def _plane_record(entries: EntryMap, plane: AnatomyPlane) -> dict[str, Any]:
@@ -307,6 +334,8 @@ def _record(
     realised: float | None,
     hopeless: Unreached | None,
     near: list[dict[str, float]],
+    breaths: list[ResidualSuccess],
+    regions: list[str],
 ) -> dict[str, Any]:
     is_possible = entries.reachable and not hopeless
     answer = "impossible" if entries.impossible else "possible" if is_possible else "not decided"
@@ -322,7 +351,11 @@ def _record(
         "realised_success": realised,
         "runs": _RUNS,
         "entries": [
-            each.record() | ({"obstacles_mm": near[place]} if near else {}) for place, each in enumerate(ranked)
+            each.record()
+            | ({"obstacles_mm": near[place]} if near else {})
+            | ({"entry_region": regions[place]} if regions else {})
+            | ({"breathing": [breath.record(place) for breath in breaths]} if breaths else {})
+            for place, each in enumerate(ranked)
         ],
     }
 

@@ -10,7 +10,7 @@ COMMAND_GROUPS: dict[str, tuple[str, ...]] = {
     "models from recordings": ("identify", "predict", "diagnose", "compare", "recording"),
     "tracked needle": ("calibrate", "register"),
     "insertion": ("simulate", "lab", "insert", "retract", "stop", "pause", "resume"),
-    "other": ("reproduce", "doctor", "check-realtime", "completion"),
+    "other": ("reproduce", "doctor", "check-realtime", "check-robot", "completion"),
 }
 """Names of the commands by title of their group, in the order of the help."""
 
@@ -50,6 +50,10 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
     "check-realtime": (
         "needleplan check-realtime",
         "needleplan check-realtime --seconds 10 --json",
+    ),
+    "check-robot": (
+        "needleplan check-robot udp://192.168.1.10 --may-move 2",
+        "needleplan check-robot udp://127.0.0.1:5105 --may-move -2 --only stop --json",
     ),
     "doctor": (
         "needleplan doctor",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import math
+import time
 from contextlib import ExitStack
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
@@ -27,7 +28,7 @@ from needleplan.cli.realtime import require_prompt
 from needleplan.errors import AddressError, DeviceFault, InputError, Mistake, OutputError
 
 if TYPE_CHECKING:
-    from needleplan.control import InsertionReport, Replanner, RunRecorder, RunSetup
+    from needleplan.control import BreathGate, InsertionReport, Replanner, RunRecorder, RunSetup
     from needleplan.control.safety import SafetyLimits
     from needleplan.devices import Station
     from needleplan.devices.robot import MotionLimits
@@ -94,6 +95,9 @@ def run(options: argparse.Namespace) -> int:
     if simulated and options.deadman:
         rule = "needs real time: the simulated lab of sim:// has its own time; see `needleplan lab`"
         raise InputError(Mistake("--deadman", options.deadman, rule))
+    if options.gate is not None and simulated is (options.exhaled_at is not None):
+        rule = "is for real devices" if simulated else "is required: real devices do not tell when the patient exhales"
+        raise InputError(Mistake("--exhaled-at", "", rule))
     motion = _motion_limits(safety_limits(options))
     report: InsertionReport | None = None
     with ExitStack() as signals:
@@ -214,6 +218,7 @@ def _setup(options: argparse.Namespace, plan: InsertPlan) -> Any:
     if not length:
         raise InputError(Mistake("--force-axis", options.force_axis, "must be a direction other than 0,0,0"))
     _require_numbers(options, limits)
+    gate = _gate(options, plan)
     how = Options(
         velocity_mm_s=options.speed, velocity_rad_s=math.radians(options.rotation_speed_deg),
         entry_depth_mm=options.entry_depth, homed_by=options.homed_by,
@@ -226,7 +231,9 @@ def _setup(options: argparse.Namespace, plan: InsertPlan) -> Any:
     def made(station: Station) -> RunSetup:
         lab = station if isinstance(station, SimulatedStation) else None
         length = options.needle_length or (lab.needle_length_mm if lab else how.needle_length_mm)
-        complete = replace(how, torsion=torsion or (lab.torsion if lab else None), needle_length_mm=length)
+        since = lab.exhaled_s if lab else _clock_time(options.exhaled_at, station) if options.exhaled_at else 0.0
+        timed = replace(gate, exhaled_s=since) if gate else None
+        complete = replace(how, gate=timed, torsion=torsion or (lab.torsion if lab else None), needle_length_mm=length)
         placed = plan.placed(registration) if registration else lab.registration if lab else Registration()
         noise = max(lab.lab.plant.setup.heading_noise_rad_sqrt_mm) if lab else None
         settings = plan.tip_settings(noise)
@@ -236,6 +243,30 @@ def _setup(options: argparse.Namespace, plan: InsertPlan) -> Any:
         return RunSetup(complete, limits, placed, settings, accepted, station.fibre, station.plane)
 
     return made
+
+
+def _gate(options: argparse.Namespace, plan: InsertPlan) -> BreathGate | None:
+    """Return the gate of the run, without its time, or None. Raises InputError."""
+    from needleplan.control import BreathGate
+
+    if options.gate is None:
+        if options.exhaled_at is not None:
+            raise InputError(Mistake("--exhaled-at", f"{options.exhaled_at:g}", "is for --gate"))
+        return None
+    breathing = getattr(getattr(plan.table.scenario, "file", None), "breathing", None)
+    if breathing is None:
+        raise InputError(Mistake("--gate", f"{options.gate:g}", "needs a 3D table of an anatomy with [breathing]"))
+    if not 0 < options.gate <= breathing.full_mm:
+        raise InputError(Mistake("--gate", f"{options.gate:g}", f"must be mm above 0, at most {breathing.full_mm:g}"))
+    try:
+        return BreathGate(breathing, options.gate)
+    except InputError as error:
+        raise InputError([replace(mistake, key="--gate") for mistake in error.mistakes]) from None
+
+
+def _clock_time(unix_s: float, station: Station) -> float:
+    """Return the time (s) of the clock of a station at a Unix time."""
+    return station.clock.now_ns() * 1e-9 - time.time() + unix_s
 
 
 def _require_numbers(options: argparse.Namespace, limits: SafetyLimits) -> None:

@@ -98,6 +98,14 @@ def _add_motion(group: argparse._ArgumentGroup) -> None:
         "--rotation-speed-deg", type=float, metavar="DEG_S", default=_ROTATION_DEG_S,
         help="speed of rotation, degrees/s (default: 172)",
     )  # fmt: skip
+    group.add_argument(
+        "--gate", type=float, metavar="MM",
+        help="advance only while breathing leaves the tissue within MM of its place in the plan, in 3D",
+    )  # fmt: skip
+    group.add_argument(
+        "--exhaled-at", type=float, metavar="UNIX_S",
+        help="Unix time at the end of an exhalation, for --gate with real devices, as of a ventilator",
+    )  # fmt: skip
     group.add_argument("--stops", action="store_true", help="stop after every step, not only before a rotation")
 
 

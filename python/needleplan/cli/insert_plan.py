@@ -232,9 +232,11 @@ class SpaceInsertPlan(InsertPlan):
         return space_insertion_figure(self.table, report, true_tip_mm)
 
     def record(self, report: InsertionReport) -> dict[str, Any]:
-        """Return the position of the last estimate of the tip in RAS; `tip` of the report is in the lattice."""
-        place = report.tip and self.table.scenario.grid.frame.world(report.tip.position_mm).tolist()
-        return {"tip_ras_mm": place}
+        """Return the last estimate of the tip in RAS, and the smallest distance of the estimates from obstacles."""
+        grid, inside = self.table.scenario.grid, report.executed_mm[report.path_mm > 0]
+        place = report.tip and grid.frame.world(report.tip.position_mm).tolist()
+        clearance_mm = float(grid.clearance_at(inside).min()) if len(inside) else None
+        return {"tip_ras_mm": place, "clearance_mm": clearance_mm}
 
     def vtp(self, report: InsertionReport) -> bytes:
         """Return planned path (`executed` 0) and estimated tip (1) as a VTP file in RAS."""
@@ -254,7 +256,9 @@ class SpaceInsertPlan(InsertPlan):
 
     def deviations(self, report: InsertionReport) -> str:
         """Return the deviation from the planned path."""
-        return f"at most {report.deviation_mm:.2f} mm from the planned path"
+        clearance_mm = self.record(report)["clearance_mm"]
+        nearest = "" if clearance_mm is None else f"; at least {clearance_mm:.1f} mm from obstacles"
+        return f"at most {report.deviation_mm:.2f} mm from the planned path{nearest}"
 
     def true_record(self, tip_mm: Vector, target_mm: Vector) -> dict[str, Any]:  # noqa: ARG002
         """Return the true position in RAS, and whether it is in the target."""

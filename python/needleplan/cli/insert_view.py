@@ -34,10 +34,11 @@ if TYPE_CHECKING:
 __all__ = ["EventView", "LiveView", "PlainView", "view"]
 
 _PERIOD_S = 0.1  # shortest time between two updates of the terminal
+_FAR_MM = 30.0  # largest distance to obstacles that a 3D table has
 _SPACE_NUMBERS = 6  # numbers of a 3D pose
 _DELAY_S = 1.0  # time from the start of a run to its first display
 _TOLD = {RunEventName.TABLE_SWAPPED, RunEventName.REPLAN_REFUSED, RunEventName.PAUSED, RunEventName.RESUMED,
-         RunEventName.FAULT, RunEventName.STOP}  # fmt: skip
+         RunEventName.WAITING, RunEventName.FAULT, RunEventName.STOP}  # fmt: skip
 
 
 class EventView(Listener):
@@ -55,26 +56,43 @@ class EventView(Listener):
 class PlainView(EventView):
     """Listener that prints one line for each decision and each important event."""
 
+    def __init__(self, table: planning.Table) -> None:
+        self._table = table
+
+    def _away(self, position_mm: tuple[float, ...]) -> tuple[float, str]:
+        """Return the distance (mm) of a tip from the target's centre, and in 3D a text with that from obstacles."""
+        scenario = self._table.scenario
+        target: tuple[float, ...] = scenario.target_mm
+        away_mm = math.dist(position_mm[: len(target)], target)
+        if len(target) == 2:
+            return away_mm, ""
+        risk_mm = float(scenario.grid.clearance_at(np.array([position_mm]))[0])
+        return away_mm, "no obstacle within 30 mm" if risk_mm >= _FAR_MM else f"{risk_mm:.1f} mm from an obstacle"
+
     def step(self, step: ExecutedStep) -> None:
         """Print a decision."""
         self._say(
             f"step {step.number:3d}  {step.action!s:20s} {step.length_mm:5.2f} mm at {step.path_mm:6.2f} mm: "
-            f"{_place(step)} success {100 * step.success:.1f} % by the table"
+            f"{_place(step)} success {100 * step.success:.1f} % by the table" + self._risk_text(step)
         )
+
+    def _risk_text(self, step: ExecutedStep) -> str:
+        away_mm, risk = self._away(step.estimate.position_mm)
+        return f"; {away_mm:.1f} mm to the target, {risk}" if risk else ""
 
 
 class LiveView(PlainView):
     """Listener that shows a table of the current values on a terminal, and the lines of events above the table."""
 
     def __init__(self, live: Live, table: planning.Table, options: Options) -> None:
+        super().__init__(table)
         self._live = live
-        self._target: tuple[float, ...] = table.scenario.target_mm
         self._axis = options.force_axis
         self._samples: dict[type[Sample], Sample] = {}
         self._tip: TipEstimate | None = None
         self._step: ExecutedStep | None = None
         self._state, self._due_s, self._now_ns = "DISABLED", time.monotonic() + _DELAY_S, 0
-        self._table, self._line = table, np.empty((0, 2))
+        self._line = np.empty((0, 2))
 
     def sample(self, sample: Sample) -> None:
         """Store a sample, and update the terminal: first 1 s after the start, then at most every 0.1 s."""
@@ -114,13 +132,13 @@ class LiveView(PlainView):
         if self._tip:
             tip = self._tip
             place, heading = f"x {tip.x_mm:7.2f} mm  y {tip.y_mm:7.2f} mm", f"{math.degrees(tip.heading_rad):6.1f} deg"
-            if len(self._target) == 3:
+            away_mm, risk = self._away(tip.position_mm)
+            if risk:
                 rows.add_row("tip", f"lattice {place}  z {tip.z_mm:7.2f} mm  {heading}")
-                rows.add_row("target", f"{math.dist(tip.position_mm, self._target):7.2f} mm away")
+                rows.add_row("target", f"{away_mm:7.2f} mm away; {risk}")
             else:
-                off = math.dist((tip.x_mm, tip.y_mm), self._target)
                 rows.add_row("tip", f"{place}  {heading}")
-                rows.add_row("target", f"{off:7.2f} mm away in the plane; {tip.z_mm:+.2f} mm out of the plane")
+                rows.add_row("target", f"{away_mm:7.2f} mm away in the plane; {tip.z_mm:+.2f} mm out of the plane")
             apart = float(path_distances_mm(self._line, np.array([tip.position_mm[: self._line.shape[1]]]))[0])
             rows.add_row("plan", f"{apart:7.2f} mm from its path")
             rows.add_row("radius", f"{1 / max(tip.curvature_per_mm, 1e-9):7.2f} mm estimated; {tip.status}")
@@ -149,7 +167,7 @@ def view(table: planning.Table, options: Options, command: argparse.Namespace) -
         yield Listener() if command.quiet else EventView()
         return
     if not sys.stderr.isatty():
-        yield PlainView()
+        yield PlainView(table)
         return
     from rich.console import Console
     from rich.live import Live

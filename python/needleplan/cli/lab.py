@@ -71,6 +71,11 @@ def add_to(commands: Any) -> None:
         "--longest-silence", type=float, default=0.34, metavar="S",
         help="longest time without a heartbeat that a controller may ask the robot to accept, s (default: 0.34)",
     )  # fmt: skip
+    parser.add_argument(
+        "--follow", metavar="ADDRESS",
+        help="move the needle with the robot at this address (udp://HOST[:PORT]); the printed address of the robot "
+        "is a relay to it, which its controller must use",
+    )  # fmt: skip
     parser.add_argument("--key-file", metavar="FILE", help="shared key that the robot requires, in hexadecimal digits")
     parser.add_argument("--duration", type=float, dest="duration_s", metavar="S", help="end after this time, s")
     add_answer(parser)
@@ -82,7 +87,7 @@ def add_to(commands: Any) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Run the command and return the exit code: 1 if all processes of the lab have ended by themselves, else 0."""
-    from needleplan.devices.robot import RobotLimits, read_key
+    from needleplan.devices.robot import RobotLimits, read_key, robot_place
     from needleplan.devices.sensor_processes import LabPlaces, TrackerLine
     from needleplan.simulation import Simulation, tip_noise_remark
     from needleplan.simulation.lab_processes import RealTimeLab
@@ -104,11 +109,12 @@ def run(options: argparse.Namespace) -> int:
     longest_valid_s = max(RobotLimits.longest_valid_s, options.longest_silence)
     limits = RobotLimits(longest_silence_s=options.longest_silence, longest_valid_s=longest_valid_s)
     key = read_key(options.key_file) if options.key_file else None
+    follow = robot_place(options.follow, ())[1] if options.follow else None
     # The signals are caught before the first process starts, so no process is left behind.
     ending = threading.Event()
     with (
         handled_signals(lambda _: ending.set()),
-        _started(lambda: RealTimeLab(setup, seed, places, limits, key)) as lab,
+        _started(lambda: RealTimeLab(setup, seed, places, limits, key, follow)) as lab,
     ):
         _print(options, simulation, seed, lab)
         all_died = _serve(lab, ending, options.duration_s)
@@ -197,6 +203,10 @@ def _require(options: argparse.Namespace) -> None:
             mistakes.append(
                 Mistake(option, f"{getattr(options, name)}", "must be a port from 1 to 65535, or 0 for a free port")
             )
+    if options.follow and options.key_file:
+        mistakes.append(
+            Mistake("--key-file", options.key_file, "is that of the robot at --follow, and of its controller")
+        )
     if options.start is not None and not options.table:
         mistakes.append(Mistake("--start", options.start, "needs --table"))
     if options.tracker_port and options.tracker_line == "pty":

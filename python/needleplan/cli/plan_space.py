@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from needleplan.cli.answer import complain, note, print_json, print_summary, working
@@ -10,7 +11,7 @@ from needleplan.cli.lattice_report import lattice_record, lattice_texts
 from needleplan.cli.options import require_inputs_kept, require_outputs, sign_key
 from needleplan.cli.streams import one_line
 from needleplan.cli.uncertainty import promise_lines, promise_record, promised, read_error, read_uncertainty
-from needleplan.errors import DataError, InputError, Mistake
+from needleplan.errors import DataError, InputError, Mistake, ScenarioError
 
 if TYPE_CHECKING:
     from needleplan.anatomy import Anatomy, SpaceScenario
@@ -119,12 +120,11 @@ def _scenario(anatomy: Anatomy, target: str | None) -> SpaceScenario:
     if target is None and names:
         rule = f"is required for an anatomy with several targets: {', '.join(names)}"
         raise InputError(Mistake("--target-name", "", rule))
-    if target is not None and target not in names:
-        known = (
-            f"must be the name of a target: {', '.join(names)}" if names else "is for an anatomy with several targets"
-        )
-        raise InputError(Mistake("--target-name", target, known))
-    return SpaceScenario.of(anatomy) if target is None else SpaceScenario.of_targets(anatomy)[target]
+    try:
+        return SpaceScenario.of(anatomy, target)
+    except ScenarioError as error:
+        wrong = [replace(each, key="--target-name") if each.key == "target_name" else each for each in error.mistakes]
+        raise ScenarioError(wrong, error.source) from None
 
 
 def _curvature(scenario: SpaceScenario, files: list[str]) -> SpaceCurvature:

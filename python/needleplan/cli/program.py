@@ -18,6 +18,7 @@ from needleplan.artifacts.read_files import recorded_reads
 from needleplan.cli import (
     calibrate,
     case,
+    check_robot,
     compare,
     completion,
     diagnose,
@@ -104,6 +105,7 @@ def make_parser() -> Parser:
     for command in (
         plan, view, table, scenarios, case, sweep, study, identify, predict, calibrate, register, simulate, lab, insert,
         retract, stop, pause, diagnose, compare, recording, reproduce, doctor, realtime,
+        check_robot,
     ):  # fmt: skip
         command.add_to(commands)
     completion.add_to(commands, make_parser)

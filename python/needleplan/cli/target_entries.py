@@ -122,6 +122,8 @@ def _record(anatomy: Anatomy, found: TargetMap, ranked: Sequence[TargetEntry], r
     entries = []
     for each in ranked:
         record = each.record()
+        if anatomy.file.anatomy.entries:
+            record["entry_region"] = anatomy.entry_name(each.position_mm)
         for name, of_target in record["targets"].items():
             target = found.maps[name]
             pose = SpacePose(*target.poses[each.number].tolist())

@@ -11,6 +11,7 @@ from needleplan.control._events import (
     RunEvent,
     RunEventName,
 )
+from needleplan.control._gate import BreathGate
 from needleplan.control._insertion import Insertion
 from needleplan.control._options import Options, RunSetup, planned_tip_settings
 from needleplan.control._order_port import OrderPort, send_order
@@ -30,6 +31,7 @@ from needleplan.control._table_set_replanning import TableSetReplanner
 
 __all__ = [
     "Approach",
+    "BreathGate",
     "CommandKind",
     "Deadman",
     "DeadmanSender",

@@ -20,6 +20,10 @@ __all__ = ["NeedleDriver", "Retracted"]
 _ARRIVED_MM, _ARRIVED_RAD = 0.3, 0.02
 # time limit of a motion: factor of its nominal duration, plus a constant (s); a longer motion is a fault
 _DURATION_FACTOR, _DURATION_S = 2.0, 2.0
+# time (s) that a gate stays open beyond the nominal duration of a motion: for start and stop of the stage
+_ENDS_S = 0.3
+# largest share of an opening of a gate that a motion takes, so that it need not begin at once
+_SHARE_OF_OPENING = 0.8
 # s that each awaited tracker frame adds to the time limit of `settle`
 _FRAME_S = 0.5
 # time (s) after `motion_s` for which rest is awaited at the end of a run: an emergency stop acts within it
@@ -33,8 +37,8 @@ class Retracted(Exception):
 class NeedleDriver:
     """Moves the needle by commands to the guard, and receives samples until each motion has ended.
 
-    `on_pause(name, causes, text)` is called with PAUSED and the names of the causes when a pause begins, and with
-    RESUMED when the pause ends.
+    `tell(name, causes, text)` is called with PAUSED and the names of the causes when a pause begins, with RESUMED when
+    the pause ends, and with WAITING when the needle waits for its gate.
 
     While a method waits, it raises DeviceFault if the guard stops the run or no device sends samples, Stopped if the
     operator stops the run, and Retracted after a retraction by a person, when a person has resumed the run.
@@ -42,7 +46,7 @@ class NeedleDriver:
 
     def __init__(
         self, needle: NeedleState, guard: GuardedStage, clock: Clock, options: Options, listeners: Sequence[Listener],
-        on_pause: Callable[[RunEventName, str, str], None],
+        tell: Callable[[RunEventName, str, str], None],
     ) -> None:  # fmt: skip
         self.goal_mm = 0.0
         """Path length at which the present insertion ends (mm)."""
@@ -54,7 +58,7 @@ class NeedleDriver:
         """Last stage sample before the first command that failed after it was sent; None without such a command."""
 
         self._needle, self._guard, self._clock, self._options = needle, guard, clock, options
-        self._listeners, self._on_pause = listeners, on_pause
+        self._listeners, self._tell = listeners, tell
         self._enabled = self._resumed = False
         self._retractions = 0
         self._commanded_at = -1
@@ -95,17 +99,49 @@ class NeedleDriver:
     def settle(self, frames: int) -> None:
         """Receive samples until the tracker has sent `frames` more usable frames.
 
-        Raises DeviceFault after `silence_s` plus 0.5 s for each frame.
+        Raises DeviceFault after `silence_s` plus 0.5 s for each frame, and with a gate two breaths.
         """
         enough = self._needle.frames + frames
-        limit_s = self._options.silence_s + frames * _FRAME_S
+        limit_s = self._options.silence_s + frames * _FRAME_S + self._breath_s
         self.wait_until(lambda: self._needle.frames >= enough, limit_s, "tracker: no usable frames")
 
     def begin_insert(self, path_mm: float) -> None:
         """Wait out a pause, then begin to move until the path has the length `path_mm` (mm).
 
-        Raises MotionRefused or the DeviceFault of the stage.
+        With a gate, the motion has parts, each of which begins and ends while the gate is open. Raises MotionRefused or
+        the DeviceFault of the stage.
         """
+        while (part_mm := self._gated(path_mm)) != path_mm:
+            self._begin_insert(part_mm)
+            self.finish_insert()
+        self._begin_insert(path_mm)
+
+    def _gated(self, path_mm: float) -> float:
+        """Wait until the gate is open for a motion, or for the most of it that one opening allows; return its end (mm).
+
+        Without a gate, do not wait, and return `path_mm`.
+        """
+        gate, speed, here_mm = self._options.gate, self._options.velocity_mm_s, self._needle.path_mm
+        if gate is None:
+            return path_mm
+        needed_s = abs(path_mm - here_mm) / speed + _ENDS_S
+        part_s = min(needed_s, _SHARE_OF_OPENING * gate.longest_s)
+
+        def waits_s() -> float:
+            wait_s, open_s = gate.window(self._clock.now_ns() * 1e-9)
+            return wait_s or (0.0 if open_s >= part_s else gate.breathing.period_s + open_s - gate.longest_s)
+
+        if (wait_s := waits_s()) > 0:
+            off_mm = gate.off_mm(self._clock.now_ns() * 1e-9)
+            text = (
+                f"{wait_s:.1f} s until the tissue is within {gate.within_mm:g} mm of the plan; now {off_mm:.1f} mm off"
+            )
+            self._tell(RunEventName.WAITING, "breathing", text)
+            self.wait_until(lambda: waits_s() <= 0, wait_s + _DURATION_S, "gate: did not open")
+        left_mm = path_mm - here_mm
+        return path_mm if part_s == needed_s else here_mm + math.copysign(speed * (part_s - _ENDS_S), left_mm)
+
+    def _begin_insert(self, path_mm: float) -> None:
         options = self._options
         depth = path_mm + options.entry_depth_mm
         self._command(lambda: self._guard.insert(depth, options.velocity_mm_s))
@@ -116,14 +152,16 @@ class NeedleDriver:
         """Wait until the stage rests at `goal_mm`, or until at most `early_mm` (mm) are left to `goal_mm`.
 
         After a pause the insertion is commanded again. If the stage rests, `goal_mm` becomes the reached path length.
-        Raises DeviceFault after twice the nominal duration plus 2 s.
+        Raises DeviceFault after twice the nominal duration plus 2 s, and with a gate two breaths.
         """
         needle, goal = self._needle, self.goal_mm
-        limit_s = _DURATION_FACTOR * abs(goal - needle.path_mm) / self._options.velocity_mm_s + _DURATION_S
+        limit_s = (
+            _DURATION_FACTOR * abs(goal - needle.path_mm) / self._options.velocity_mm_s + _DURATION_S + self._breath_s
+        )
 
         def arrived() -> bool:
             if self._resumed:
-                self.begin_insert(goal)
+                self._begin_insert(self._gated(goal))
             if self._unseen or needle.stage is None:
                 return False
             left = goal - needle.path_mm
@@ -193,6 +231,11 @@ class NeedleDriver:
         return not stays
 
     @property
+    def _breath_s(self) -> float:
+        """Longest time (s) that a gate adds to a wait: the duration of two breaths; 0 without a gate."""
+        return 2 * self._options.gate.breathing.period_s if self._options.gate else 0.0
+
+    @property
     def _paused(self) -> bool:
         return self._enabled and self._guard.state.operating is OperatingState.PAUSED
 
@@ -228,7 +271,7 @@ class NeedleDriver:
         guard, began_ns = self._guard, self._clock.now_ns()
         counted_ns = began_ns
         causes = "ordered by a person" if guard.state.person_paused else present_causes(guard)
-        self._on_pause(RunEventName.PAUSED, causes, "a stop was sent")
+        self._tell(RunEventName.PAUSED, causes, "a stop was sent")
         while self._paused:
             state = guard.state
             if not state.person_paused:
@@ -244,7 +287,7 @@ class NeedleDriver:
             self._receive()
         self._require_running()
         self._resumed = True
-        self._on_pause(RunEventName.RESUMED, "", "the insertion continues")
+        self._tell(RunEventName.RESUMED, "", "the insertion continues")
         self._require_goal()
         return self._clock.now_ns() - began_ns
 

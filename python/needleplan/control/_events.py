@@ -39,6 +39,9 @@ class RunEventName(StrEnum):
     RETRACTED = "retracted"
     """A person has retracted the needle and resumed the run; the loop has given up its old goal and decides anew."""
 
+    WAITING = "waiting"
+    """The needle waits for its gate: breathing has moved the tissue."""
+
     FAULT = "fault"
     """The run ends with the outcome FAULT or REFUSED; END follows."""
 

@@ -214,6 +214,11 @@ class NeedleState:
             self._filter.update_image(sample)
 
     def _take_pose(self, sample: PoseSample) -> None:
+        gate = self._options.gate
+        if gate is not None and gate.off_mm(sample.stamp.received_ns * 1e-9) > gate.within_mm:
+            if self._filter is not None and sample.health is Health.GOOD:
+                self._validate_tip(self._filter.tip)  # breathing has moved the needle with the tissue
+            return
         self.pose = sample
         usable = sample.health is Health.GOOD
         if self._filter is None:

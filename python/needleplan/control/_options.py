@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields, replace
 from typing import TYPE_CHECKING, Any, Self
 
+from needleplan.control._gate import BreathGate
 from needleplan.control.safety import SafetyLimits
 from needleplan.errors import DataError, InputError, Mistake
 from needleplan.estimation.registration import Registration, not_refused
@@ -113,6 +114,9 @@ class Options:
     ends the run, unless its cause has already gone. A fault always ends the run. A pause or a retraction that a person
     orders has no time limit: only a person resumes the run."""
 
+    gate: BreathGate | None = None
+    """In 3D: when the needle may advance, by breathing; None: at any time."""
+
     force_axis: tuple[float, float, float] = (0.0, 0.0, 1.0)
     """Unit vector in the frame of the force sensor, in the direction of a force that resists insertion."""
 
@@ -197,6 +201,8 @@ class RunSetup:
             options: dict[str, Any] = json.loads(texts[_OPTIONS])
             if options["torsion"] is not None:
                 options["torsion"] = Torsion(**options["torsion"])
+            if options.get("gate") is not None:
+                options["gate"] = BreathGate.from_record(options["gate"])
             for name in ("force_axis", "expected_start"):
                 options[name] = options[name] and tuple(options[name])
             return cls(

@@ -28,6 +28,7 @@ EXTRAS = MappingProxyType({
     "svgelements": "svg",
     "nibabel": "volumes",
     "nrrd": "volumes",
+    "pydicom": "dicom",
     "starlette": "view",
     "uvicorn": "view",
     "xarray": "xarray",

@@ -17,6 +17,7 @@ from needleplan.planning._resolution import Resolution, disagrees, resolution, r
 from needleplan.planning._seal import FORMAT as TABLE_FORMAT
 from needleplan.planning._seal import is_signed
 from needleplan.planning._space import EntryMap, SpaceEntry, entry_map, rank_entries
+from needleplan.planning._space_breathing import ResidualSuccess, success_in_breath
 from needleplan.planning._space_drawing import draw_entries
 from needleplan.planning._space_export import entries_vtp, markups_text, success_bytes, targets_markups_text
 from needleplan.planning._space_limits import KeptEntries, LimitCount
@@ -55,6 +56,7 @@ __all__ = [
     "Progress",
     "Promise",
     "PromisingTable",
+    "ResidualSuccess",
     "Resolution",
     "Rollouts",
     "SpaceDecision",
@@ -102,6 +104,7 @@ __all__ = [
     "space_of",
     "step_points",
     "success_bytes",
+    "success_in_breath",
     "targets_markups_text",
     "unreached",
     "vtp_bytes",

@@ -94,7 +94,7 @@ def best_plane(scenario: SpaceScenario) -> AnatomyPlane:
         found.append(AnatomyPlane(angle, origin, axes, table, best.pose, best.success, table.stats.seconds))
     if not found:
         rule = "no plane through the axis has an entry point in front of the target"
-        raise ScenarioError(Mistake("anatomy.entry", str(scenario.file.anatomy.entry), rule))
+        raise ScenarioError(Mistake("anatomy.entry", scenario.file.anatomy.entry_text, rule))
     return max(found, key=lambda each: each.success)
 
 

@@ -28,6 +28,7 @@ def plan(
     progress: Progress | bool | None = None,
     *,
     accept_units: bool = False,
+    target_name: str | None = None,
 ) -> SpaceTable: ...
 @overload
 def plan(
@@ -35,6 +36,7 @@ def plan(
     progress: Progress | bool | None = None,
     *,
     accept_units: bool = False,
+    target_name: str | None = None,
 ) -> PolicyTable | Any: ...
 
 
@@ -43,6 +45,7 @@ def plan(
     progress: Progress | bool | None = None,
     *,
     accept_units: bool = False,
+    target_name: str | None = None,
 ) -> PolicyTable | SpaceTable:
     """Solve a scenario, or an anatomy, into a policy table.
 
@@ -60,6 +63,8 @@ def plan(
     accept_units : bool, default False
         Plan even if a size is so unlikely that its unit is probably wrong, such as a radius in metres. Without effect
         in 3D, where the volume has the units.
+    target_name : str, optional
+        Name of one of several targets of an anatomy. Default: the only target.
 
     Returns
     -------
@@ -85,14 +90,16 @@ def plan(
         with progress_bar(progress) as show:
             if isinstance(problem, Scenario):
                 return plan(problem, lambda *state: show(solve_text(*state)), accept_units=accept_units)
-            return plan(problem, lambda done, *_: show("solving", done), accept_units=accept_units)
+            return plan(problem, lambda done, *_: show("solving", done), target_name=target_name)
     require_callable(progress, InputError)
+    if target_name is not None and not isinstance(problem, Anatomy | AnatomyFile):
+        raise ScenarioError(Mistake("target_name", str(target_name), "is for an anatomy with several targets"))
     if isinstance(problem, Scenario):
         return plan_plane(problem, progress, accept_units=accept_units)
     if isinstance(problem, AnatomyFile):
         problem = Anatomy.of(problem)
     if isinstance(problem, Anatomy):
-        problem = SpaceScenario.of(problem)
+        problem = SpaceScenario.of(problem, target_name)
     if not isinstance(problem, SpaceScenario):
         rule = "must be a scenario, an anatomy, the path of a file with one of them, or the name of a shipped scenario"
         raise ScenarioError(Mistake("scenario", _brief(problem), rule))

@@ -15,6 +15,8 @@ __all__ = ["SimulatedAxis", "Trapezoid"]
 
 # time constant (s) of the low-pass filter of the measured velocity
 _FILTER_S = 0.001
+# time constant (s) with which an axis follows the samples of a robot outside of the simulation
+_FOLLOW_S = 0.005
 # ratio of the largest acceleration of the drive to the acceleration of the profile
 _HEADROOM = 20.0
 # duration (s) below which a piece of a profile is omitted
@@ -119,6 +121,7 @@ class SimulatedAxis:
         self.measured: float = self._encoder()
         self.measured_velocity: float = 0.0
         self._integral = 0.0
+        self._followed: tuple[float, float] | None = None
 
     def go(self, goal: float, velocity: float, now_s: float) -> None:
         """Begin to move to a goal at most at `velocity` (> 0)."""
@@ -146,6 +149,9 @@ class SimulatedAxis:
 
     def step(self, now_s: float, disturbance: float = 0.0) -> None:
         """Simulate one tick of the servo that begins at `now_s`. `disturbance` is an external acceleration."""
+        if self._followed is not None:
+            self._step_behind(*self._followed)
+            return
         dt = self._interval_s
         wanted, wanted_velocity, forward = self._profile.at(now_s)
         error = wanted - self.measured
@@ -164,6 +170,25 @@ class SimulatedAxis:
         last, self.measured = self.measured, self._encoder()
         self.measured_velocity += self._share * ((self.measured - last) / dt - self.measured_velocity)
         self._reference = (wanted, wanted_velocity)
+
+    def follow(self, position: float, velocity: float) -> None:
+        """From now on, follow an axis outside of the simulation; called with each of its samples.
+
+        The first sample is taken over at once.
+        """
+        if not (math.isfinite(position) and math.isfinite(velocity)):
+            return
+        if self._followed is None:
+            self.position = self.measured = position
+        self._followed = (position + velocity * _FOLLOW_S, velocity)
+
+    def _step_behind(self, goal: float, velocity: float) -> None:
+        """Follow the last sample with the time constant `_FOLLOW_S`, which `goal` compensates at constant speed."""
+        dt = self._interval_s
+        self.velocity = (goal - self.position) * (1 - math.exp(-dt / _FOLLOW_S)) / dt
+        self.position += self.velocity * dt
+        self.measured, self.measured_velocity = self._encoder(), velocity
+        self._reference = (self.position, velocity)
 
     def _encoder(self) -> float:
         if self._resolution:

@@ -83,6 +83,11 @@ class Lab(Device):
         self.fibre: SimulatedFibre = SimulatedFibre(self)
         self.ultrasound: SimulatedUltrasound = SimulatedUltrasound(self)
 
+    @property
+    def exhaled_s(self) -> float:
+        """Time (s) of the clock at the end of an exhalation."""
+        return self._begin_ns / _NANO + self.plant.exhaled_s
+
     def catch_up(self) -> None:
         """Advance the plant to the time of the clock."""
         now_ns = self.clock.now_ns()

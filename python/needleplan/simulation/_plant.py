@@ -249,6 +249,11 @@ class Plant:
         return self._breath
 
     @property
+    def exhaled_s(self) -> float:
+        """Simulated time (s) at the end of an exhalation."""
+        return -(self._phase + math.pi / 2) / (2 * math.pi) * self.setup.effects.respiration_period_s
+
+    @property
     def tissue_mm(self) -> float:
         """Displacement (mm) of the tissue by the friction of the needle."""
         return self._shaft.tissue_mm

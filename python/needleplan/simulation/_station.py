@@ -46,6 +46,11 @@ class SimulatedStation(Station):
         """True position (mm) of the tip, without errors of sensors."""
         return self.lab.plant.tip().position_mm
 
+    @property
+    def exhaled_s(self) -> float:
+        """Time (s) of the clock at the end of an exhalation."""
+        return self.lab.exhaled_s
+
     def true_target_mm(self, center_mm: tuple[float, ...]) -> tuple[float, float, float]:
         """Return the true position (mm) of the target's centre, which the push of the needle displaces."""
         x, y, z = (*center_mm, 0.0)[:3]

@@ -24,7 +24,9 @@ from needleplan.devices.robot import (
     RobotDriveState,
     RobotLimits,
     RobotMachine,
+    RobotRelay,
     RobotServer,
+    RobotStatus,
 )
 from needleplan.devices.sensor_processes import (
     Failed,
@@ -106,9 +108,12 @@ def limits_of(lab: Lab) -> DriveLimits:
 
 def serve_robot(
     boss: Connection, setup: Setup, seed: int, places: LabPlaces, limits: RobotLimits,
-    key: bytes | None, to_force: socket.socket, to_tracker: socket.socket,
+    key: bytes | None, follow: tuple[str, int] | None, to_force: socket.socket, to_tracker: socket.socket,
 ) -> None:  # fmt: skip
     """Run the process of the robot, which simulates the plant in real time, until the parent ends it.
+
+    With `follow`, a relay to the robot at this host and port takes the place of the simulated robot, and the needle
+    moves with its positions.
 
     Sends to the parent: `Ready` with the address of the robot after the first sample, or `Failed` if the port cannot be
     opened; at the end `Served`.
@@ -125,28 +130,41 @@ def serve_robot(
             boss.send(Ready(server.address))
 
     lab = Lab(setup, seed)
-    machine = RobotMachine(PlantDrive(lab, measured), limits, limits_of(lab), key)
-    server = place_or_report(boss, lambda: RobotServer(machine, places.host, places.robot_port))
+    drive = PlantDrive(lab, measured)
+    machine = RobotMachine(drive, limits, limits_of(lab), key)
+
+    def place() -> RobotServer | RobotRelay:
+        if follow is None:
+            return RobotServer(machine, places.host, places.robot_port)
+        return RobotRelay(follow, seen, drive.advance, places.host, places.robot_port)
+
+    def seen(status: RobotStatus) -> None:
+        lab.plant.insertion.follow(status.depth_mm, status.velocity_mm_s)
+        lab.plant.roll.follow(status.roll_rad, status.velocity_rad_s)
+
+    server = place_or_report(boss, place)
     if server is None:
         return
     call_at_end(boss, server.stop)
     with no_long_collections():
         server.run()
     server.close()
-    report_end(boss, Served(server.ticks, machine.overruns, server.worst_overrun_s))
+    overruns = server.overruns if isinstance(server, RobotRelay) else machine.overruns
+    report_end(boss, Served(server.ticks, overruns, server.worst_overrun_s))
 
 
 class RealTimeLab(Closing):
     """A lab in three processes, which `close` ends. `addresses` contains the addresses of its devices.
 
-    With a `key`, the robot obeys only datagrams that are authenticated with it.
+    With a `key`, the robot obeys only datagrams that are authenticated with it. With `follow`, a host and a port, the
+    needle moves with the robot there, and the address of the robot is that of a relay to it.
 
     Raises InputError if a device cannot be opened at its address.
     """
 
     def __init__(
         self, setup: Setup, seed: int = 0, places: LabPlaces | None = None, limits: RobotLimits | None = None,
-        key: bytes | None = None,
+        key: bytes | None = None, follow: tuple[str, int] | None = None,
     ) -> None:  # fmt: skip
         places = LabPlaces() if places is None else places
         self.served: dict[str, Served] = {}
@@ -163,7 +181,7 @@ class RealTimeLab(Closing):
             self._start("force sensor", serve_force, places, of_force)
             self._start("tracker", serve_tracker, places, of_tracker)
             force, tracker = (self._address(name, places) for name in ("force sensor", "tracker"))
-            self._start("robot", serve_robot, setup, seed, places, limits, key, to_force, to_tracker)
+            self._start("robot", serve_robot, setup, seed, places, limits, key, follow, to_force, to_tracker)
             robot = self._address("robot", places)
         except BaseException:
             for process, _ in self._parts.values():

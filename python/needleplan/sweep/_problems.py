@@ -94,13 +94,20 @@ class SpaceProblem(SweptProblem):
         regions = dict(raw["anatomy"])
         for key in ("file", "labels"):
             if isinstance(regions.get(key), str) and regions[key]:
-                regions[key] = os.path.abspath(self._path.parent / regions[key])  # noqa: PTH100  links stay
-        return build(AnatomyFile, {**raw, "anatomy": regions})
+                regions[key] = self._absolute(regions[key])
+        parts = {**raw, "anatomy": regions}
+        if isinstance(breathing := raw.get("breathing"), Mapping) and isinstance(breathing.get("field"), str):
+            parts["breathing"] = {**breathing, "field": self._absolute(breathing["field"])}
+        return build(AnatomyFile, parts)
+
+    def _absolute(self, file: str) -> str:
+        return os.path.abspath(self._path.parent / file)  # noqa: PTH100  links stay
 
     def identity(self, changed: Scenario | AnatomyFile) -> str:
         """Return the digest of the settings and of the contents of volume and colour table, wherever they are."""
         assert isinstance(changed, AnatomyFile)
-        files = [changed.anatomy.file, *([changed.anatomy.labels] if changed.anatomy.labels else [])]
+        named = (changed.anatomy.file, changed.anatomy.labels, changed.breathing and changed.breathing.field)
+        files = [file for file in named if file]
         contents = [self._digest(file) for file in files]
         settings = changed.to_toml()
         for file, content in zip(files, contents, strict=True):

@@ -294,7 +294,10 @@ impl Supervisor {
         if let Some(guarded) = &self.guarded {
             let state = &guarded.post.state;
             if kind.is_motion() {
-                if state.operating != Operating::Enabled && !state.is_retracting() {
+                let may_move = state.operating == Operating::Enabled || state.is_retracting();
+                // A motion that is sent again does not undo a stop that was ordered after it.
+                let is_overtaken = self.stop_number.is_some_and(|stop| !is_later(number, stop));
+                if !may_move || is_overtaken {
                     return 0;
                 }
                 self.stop_number = None;

@@ -4,7 +4,7 @@
 mod robot;
 
 use needleplan_guard::cause::{Cause, Causes, Owner};
-use needleplan_guard::datagram::{Kind, SessionLimits};
+use needleplan_guard::datagram::{Kind, LONGEST, SessionLimits};
 use needleplan_guard::session::Session;
 use needleplan_guard::state::{Operating, State};
 use robot::Robot;
@@ -224,6 +224,19 @@ fn a_motion_that_passes_ends_the_repetition_of_the_stop_before() {
         bench.lives();
     });
     assert!(!sent.iter().any(|(_, kind)| *kind == STOP));
+}
+
+#[test]
+fn a_motion_that_is_sent_again_after_a_stop_does_not_pass_and_the_stop_is_repeated() {
+    let mut bench = Bench::enabled();
+    let motion = bench.supervisor.session.next_number();
+    let now_ns = bench.now_ns;
+    assert!(bench.supervisor.command(Kind::Insert, motion, 0, (1.0, 1.0), now_ns, &mut [0; LONGEST]) > 0);
+    assert!(bench.passes(Kind::Stop));
+    assert_eq!(bench.supervisor.command(Kind::Insert, motion, 0, (1.0, 1.0), now_ns, &mut [0; LONGEST]), 0);
+    assert!(bench.sent_within(20, Bench::says).contains(&(20, STOP)));
+    bench.lives();
+    assert!(bench.passes(Kind::Insert));
 }
 
 #[test]

@@ -355,7 +355,9 @@ impl SolvedSpace {
 
     /// Outcomes of an execution from each pose, `[n, 6]`, with the noise of the first runs of a rollout, where the plan is
     /// wrong as `truths`, `[n, 13]`, say: the rows of a rigid motion from believed to true positions, and the relative curvature.
-    #[pyo3(signature = (poses_mm, truths, *, center_mm, seed, threads=None))]
+    /// `anatomy` has the voxels of the true anatomy in the same frame, if they are not those of the plan.
+    #[allow(clippy::too_many_arguments)]
+    #[pyo3(signature = (poses_mm, truths, *, center_mm, seed, anatomy=None, threads=None))]
     fn true_outcomes<'py>(
         &self,
         py: Python<'py>,
@@ -363,10 +365,12 @@ impl SolvedSpace {
         truths: PyReadonlyArray2<'_, f64>,
         center_mm: [f64; 3],
         seed: u64,
+        anatomy: Option<&Space>,
         threads: Option<usize>,
     ) -> PyResult<Bound<'py, PyArray1<u8>>> {
         let (starts, truths) = (poses(&poses_mm)?, space_truths(&truths)?);
-        let work = |executor: SpaceExecutor<'_>| executor.rollout_in(&starts, &truths, center_mm, seed);
+        let anatomy = anatomy.map(|space| &space.problem.setup().volume);
+        let work = |executor: SpaceExecutor<'_>| executor.rollout_in(&starts, &truths, center_mm, anatomy, seed);
         let runs = self.with_tables(py, threads, work)?;
         Ok(PyArray1::from_iter(py, runs.iter().map(|run| run.event as u8)))
     }

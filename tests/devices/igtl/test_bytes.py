@@ -308,3 +308,17 @@ def test_times_keep_their_microseconds() -> None:
     message = IgtlMessage("STATUS", "", timestamp=stamp_of(1_700_000_000.000_025))
     assert message.time_s == pytest.approx(1_700_000_000.000_025, abs=1e-6)
     assert IgtlMessage("STATUS", "").time_s is None
+
+
+def test_a_header_of_version_3_with_a_longer_extended_header_is_read() -> None:
+    extended = struct.pack(">HHII", 16, 2 + 2 * 8, 15, 77) + b"NEW!"
+    index = struct.pack(">HHHIHHI", 2, 4, 3, 2, 3, 106, 6)
+    body = extended + struct.pack(">HH", 3, 2) + b"hi" + index + b"unitmm" + b"who" + "Zoë??".encode()[:6]
+    head = struct.pack(">H12s20sQQQ", 3, b"STRING", b"Console", 5 << 32, len(body), crc64(body))
+    reader = MessageReader()
+    reader.feed(head + body)
+    message = reader.next()
+    assert message is not None
+    assert (message.version, message.message_id, message.time_s) == (3, 77, 5.0)
+    assert decode_string(message.content) == "hi"
+    assert message.metadata == {"unit": "mm", "who": "Zoë??"}

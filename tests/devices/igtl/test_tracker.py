@@ -7,9 +7,9 @@ from collections.abc import Iterator
 
 import pytest
 
-from needleplan.devices import Tracker
-from needleplan.devices.igtl import IgtlPoseLimits, IgtlTracker, PlusServer, PoseKind
-from needleplan.errors import AddressError, ConfigurationError, DeviceFault, LinkClosed
+from needleplan.devices import Health, Tracker
+from needleplan.devices.igtl import IgtlPoseLimits, IgtlTracker, PlusLink, PlusServer, PoseKind
+from needleplan.errors import AddressError, ConfigurationError, DeviceFault, LinkClosed, ProtocolError
 from tests.devices.contract import TrackerContract
 from tests.devices.igtl.bench import TIP, Bench, plus
 
@@ -132,10 +132,42 @@ def test_a_name_that_is_too_long_for_a_header_is_found(kind: PoseKind) -> None:
     assert sample.position_mm[2] == -150
 
 
-def test_header_version_1_will_do() -> None:
+@pytest.mark.parametrize("version", [1, 3])
+def test_other_header_versions_will_do(version: int) -> None:
     bench = Bench()
-    bench.device.version = 1
+    bench.device.version = bench.device.sent_version = version
     assert bench.tracker().read(1) is not None
+
+
+def test_a_missing_checksum_is_accepted_by_an_explicit_option_only(monkeypatch: pytest.MonkeyPatch) -> None:
+    receive = PlusLink.receive
+
+    def without_crc(link: PlusLink, timeout_s: float) -> bytes:
+        """Return the messages of the server with 0 in place of their checksums."""
+        data, made = receive(link, timeout_s), b""
+        while data:
+            end = 58 + int.from_bytes(data[42:50])
+            made += data[:50] + bytes(8) + data[58:end]
+            data = data[end:]
+        return made
+
+    monkeypatch.setattr(PlusLink, "receive", without_crc)
+    with pytest.raises((ConfigurationError, ProtocolError)):
+        Bench().tracker()
+    sample = Bench().tracker(needs_crc=False).read(1)
+    assert sample is not None
+    assert sample.position_mm[2] == -150
+    with pytest.raises(AddressError, match="crc"):
+        IgtlTracker.open("igtl://127.0.0.1/Tip?crc=no")
+
+
+def test_a_frozen_pose_under_live_times_reaches_the_guard_as_new_samples() -> None:
+    bench = Bench()
+    bench.tip.pose = lambda _: ((1.0, 2.0, 3.0), (1.0, 0.0, 0.0, 0.0))
+    tracker = bench.tracker()
+    samples = [tracker.read(1) for _ in range(20)]
+    assert len({sample.stamp.sequence for sample in samples if sample}) == 20
+    assert {(sample.position_mm, sample.health) for sample in samples if sample} == {((1.0, 2.0, 3.0), Health.GOOD)}
 
 
 def test_all_kinds_tell_the_same_pose() -> None:

@@ -1,4 +1,4 @@
-"""A client in C, written from the documentation and the C header, drives a robot over a real socket."""
+"""The control side in C of the examples drives a robot over a real socket."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from needleplan.devices.robot import RobotLimits, RobotMachine, RobotServer, SteadyDrive
-from tests.pages import ROOT
+from tests.devices.robot.robot_in_c import robot_in_c
 
 KEY = "a shared key of 27 letters!"
 PATIENT = RobotLimits(longest_silence_s=10.0, longest_valid_s=10.0)  # for a busy machine
@@ -17,25 +17,10 @@ PATIENT = RobotLimits(longest_silence_s=10.0, longest_valid_s=10.0)  # for a bus
 
 @pytest.fixture(scope="module")
 def client(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    if shutil.which("gcc") is None:
-        pytest.skip("needs gcc")
-    program = tmp_path_factory.mktemp("c") / "client"
-    source = Path(__file__).with_name("client.c")
-    command = [
-        "gcc",
-        "-std=gnu11",
-        "-O1",
-        "-Wall",
-        "-Wextra",
-        "-Werror",
-        f"-I{ROOT / 'docs/reference'}",
-        source,
-        "-o",
-        program,
-    ]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
-    assert done.returncode == 0, done.stderr
-    return program
+    if shutil.which("cc") is None:
+        pytest.skip("no C compiler here")
+    patience = ("-DVALID_NS=5000000000u", "-DSILENCE_US=5000000u")
+    return robot_in_c(tmp_path_factory.mktemp("c"), *patience, source="control")
 
 
 def said(client: Path, port: int, *key: str) -> tuple[list[str], int]:

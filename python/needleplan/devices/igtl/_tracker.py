@@ -65,8 +65,8 @@ class IgtlTracker(Tracker):
 
     If `ask`, the tracker requests TDATA or QTDATA from the server: at most one message every `interval_ms`, in the
     coordinate system `coordinates` (empty: the server chooses). `rate_hz` is the frame rate, from which lost frames are
-    counted; 0: they are not counted. The constructor calls `start` and raises its errors; raises ConfigurationError if
-    `ask` is combined with another `kind`.
+    counted; 0: they are not counted. If not `needs_crc`, messages with the checksum 0 are accepted. The constructor
+    calls `start` and raises its errors; raises ConfigurationError if `ask` is combined with another `kind`.
     """
 
     name: str
@@ -82,13 +82,14 @@ class IgtlTracker(Tracker):
         interval_ms: int = 0,
         coordinates: str = "",
         rate_hz: float = 0.0,
+        needs_crc: bool = True,
         limits: IgtlPoseLimits | None = None,
         clock: Clock | None = None,
     ) -> None:
         self._clock: Clock = SystemClock() if clock is None else clock
         self._link, self.name, self.kind = link, name, kind
         self._ask, self._interval_ms, self._coordinates = ask and kind.holds_tools, interval_ms, coordinates
-        self._rate_hz = rate_hz
+        self._rate_hz, self._needs_crc = rate_hz, needs_crc
         self.limits: IgtlPoseLimits = IgtlPoseLimits() if limits is None else limits
         self.counts: IgtlCounts = IgtlCounts()
         self._closed = False
@@ -111,6 +112,7 @@ class IgtlTracker(Tracker):
         - `interval_ms`: with `ask`, shortest time (ms) between messages, by default 0.
         - `coordinates`: with `ask`, coordinate system of the poses, by default chosen by the server.
         - `rate_hz`: frame rate, from which lost frames are counted, by default 0 (not counted).
+        - `crc`: absent to accept messages with the checksum 0, by default required.
         - `timeout_s`: longest time (s) to connect, by default 3.
 
         Raises AddressError if the address is wrong, ConfigurationError if the server does not send this device,
@@ -119,7 +121,7 @@ class IgtlTracker(Tracker):
         parsed = Address.parse(address)
         if parsed.scheme != "igtl":
             raise AddressError(Mistake("address", address, "must begin with igtl://"))
-        parsed.only(("message", "ask", "interval_ms", "coordinates", "rate_hz", "timeout_s"))
+        parsed.only(("message", "ask", "interval_ms", "coordinates", "rate_hz", "crc", "timeout_s"))
         name = unquote(parsed.path.removeprefix("/"))
         if not name or "/" in name:
             rule = "must name the tracked device, as in igtl://host/NeedleToTracker"
@@ -130,12 +132,13 @@ class IgtlTracker(Tracker):
         rate_hz = parsed.option("rate_hz", float, 0.0)
         if not 0 <= rate_hz < 1e6:
             raise AddressError(Mistake("rate_hz", str(rate_hz), "must be at least 0 and less than a million"), address)
+        needs_crc = parsed.option("crc", {"required": True, "absent": False}.__getitem__, True)
         rest = {key: value for key, value in parsed.options.items() if key == "timeout_s"}
         link = open_link(Address("tcp", parsed.host, parsed.port, "", rest), IGTL_PORT)
         coordinates = parsed.options.get("coordinates", "")
         return cls(
             link, name, kind=kind, ask=ask, interval_ms=interval_ms, coordinates=coordinates, rate_hz=rate_hz,
-            limits=limits,
+            needs_crc=needs_crc, limits=limits,
         )  # fmt: skip
 
     def start(self) -> None:
@@ -147,7 +150,8 @@ class IgtlTracker(Tracker):
         """
         self._fault: DeviceFault | None = None
         # Poses of all kinds are decoded, so that the message of a failed start can name the devices that were received.
-        self._reader = MessageReader({*(each.upper() for each in PoseKind), f"RTS_{self.kind.upper()}"})
+        wanted = {*(each.upper() for each in PoseKind), f"RTS_{self.kind.upper()}"}
+        self._reader = MessageReader(wanted, needs_crc=self._needs_crc)
         self._validator = IgtlPoseValidator(self.limits, self._rate_hz)
         self._others: dict[str, None] = {}
         self._damaged_before = 0

@@ -142,9 +142,13 @@ def decode_header(data: bytes) -> Header:
     return Header(version, name.decode("ascii"), text_of(device), timestamp, body_bytes, crc)
 
 
-def decode_body(header: Header, body: bytes) -> IgtlMessage:
-    """Return the message with the given header and body. Raises ProtocolError if checksum or lengths are wrong."""
-    if len(body) != header.body_bytes or crc64(body) != header.crc:
+def decode_body(header: Header, body: bytes, *, needs_crc: bool = True) -> IgtlMessage:
+    """Return the message with the given header and body. Raises ProtocolError if checksum or lengths are wrong.
+
+    If not `needs_crc`, a checksum of 0 stands for none: some servers leave it out.
+    """
+    is_absent = header.crc == 0 and not needs_crc
+    if len(body) != header.body_bytes or not (is_absent or crc64(body) == header.crc):
         raise ProtocolError(f"OpenIGTLink: {header.kind} {header.device!r} has a wrong checksum")
     if header.version < 2:
         return IgtlMessage(header.kind, header.device, body, header.timestamp, header.version)
@@ -213,17 +217,19 @@ _QUERIES = ("GET_", "STT_", "STP_", "RTS_")
 class MessageReader:
     """Extracts messages from a stream of bytes that may be damaged, truncated, or begin in the middle of a message.
 
-    Only messages with a correct checksum are returned. After a damaged message, the search continues at its second
-    byte, so that a correct message behind it is found. A body of more than `longest` bytes counts as damaged. Messages
-    whose kind is not in `wanted` are skipped; None means that all kinds are wanted. Memory is allocated only for
-    received bytes, never for an announced length.
+    Only messages with a correct checksum are returned; if not `needs_crc`, also those with the checksum 0. After a
+    damaged message, the search continues at its second byte, so that a correct message behind it is found. A body of
+    more than `longest` bytes counts as damaged. Messages whose kind is not in `wanted` are skipped; None means that all
+    kinds are wanted. Memory is allocated only for received bytes, never for an announced length.
     """
 
     wanted: Collection[str] | None
     longest: int
 
-    def __init__(self, wanted: Collection[str] | None = None, longest: int = 1 << 24) -> None:
-        self.wanted, self.longest = wanted, longest
+    def __init__(
+        self, wanted: Collection[str] | None = None, longest: int = 1 << 24, *, needs_crc: bool = True
+    ) -> None:
+        self.wanted, self.longest, self._needs_crc = wanted, longest, needs_crc
         self.damaged_bytes: int = 0
         """Number of discarded bytes, which belong to no correct message."""
 
@@ -271,7 +277,8 @@ class MessageReader:
                 return None
             self._header = None
             try:
-                message = decode_body(header, bytes(self._buffer[begin : begin + header.body_bytes]))
+                body = bytes(self._buffer[begin : begin + header.body_bytes])
+                message = decode_body(header, body, needs_crc=self._needs_crc)
             except ProtocolError:
                 self.damaged += 1
                 self._drop()

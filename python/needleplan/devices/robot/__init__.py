@@ -1,12 +1,13 @@
 """The needleplan robot protocol over UDP: a stage for the controller, and the robot side with simulated drives."""
 
-from needleplan.devices.robot._bystander import stop_robot
+from needleplan.devices.robot._bystander import robot_place, stop_robot
 from needleplan.devices.robot._drives import DriveLimits, RobotDrive, RobotDriveState
 from needleplan.devices.robot._limits import RobotLimits
 from needleplan.devices.robot._machine import RobotMachine
+from needleplan.devices.robot._relay import RobotRelay
 from needleplan.devices.robot._simulator import RobotDriveFaults, RobotLink, RobotNetwork, RobotServer, SteadyDrive
 from needleplan.devices.robot._stage import RobotStage, RobotTiming, read_key
-from needleplan.devices.robot.messages import Fault, MotionLimits, RobotState
+from needleplan.devices.robot.messages import Fault, MotionLimits, RobotState, RobotStatus
 
 __all__ = [
     "DriveLimits",
@@ -19,11 +20,14 @@ __all__ = [
     "RobotLink",
     "RobotMachine",
     "RobotNetwork",
+    "RobotRelay",
     "RobotServer",
     "RobotStage",
     "RobotState",
+    "RobotStatus",
     "RobotTiming",
     "SteadyDrive",
     "read_key",
+    "robot_place",
     "stop_robot",
 ]

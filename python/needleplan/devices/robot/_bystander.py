@@ -2,14 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 
 from needleplan.bystander import WITHIN_S, StopOutcome, stop
 from needleplan.devices._opening import Address
 from needleplan.devices.robot.messages import ROBOT_PORT
 from needleplan.errors import AddressError, DeviceFault, Mistake
 
-__all__ = ["stop_robot"]
+__all__ = ["robot_place", "stop_robot"]
+
+
+def robot_place(address: str, known: Collection[str] | None = None) -> tuple[Address, tuple[str, int]]:
+    """Return the parts, and host and port, of `udp://host[:5005]`; `known` are the options that it may have.
+
+    Raises AddressError.
+    """
+    parsed = Address.parse(address)
+    if parsed.scheme != "udp":
+        raise AddressError(Mistake("address", address, "a robot is reached by udp://host"))
+    if known is not None:
+        parsed.only(known)
+    return parsed, parsed.network(ROBOT_PORT)
 
 
 def stop_robot(
@@ -22,10 +35,7 @@ def stop_robot(
     run of the controller ends. Raises AddressError if the address is wrong, DeviceFault if the needle is not measured
     at rest within `within_s`.
     """
-    parsed = Address.parse(address)
-    if parsed.scheme != "udp":
-        raise AddressError(Mistake("address", address, "a robot is reached by udp://host"))
-    host, port = parsed.network(ROBOT_PORT)
+    parsed, (host, port) = robot_place(address)
     try:
         outcome = stop(host, port, within_s, on_alarm)
     except (OSError, UnicodeError) as error:

@@ -13,11 +13,11 @@ from needleplan.devices._base import Health, Stage, StageSample, Stamp
 from needleplan.devices._clock import Clock, Deadline, SystemClock
 from needleplan.devices._links import Link
 from needleplan.devices._opening import Address, open_link, require_called_heartbeat
+from needleplan.devices.robot._bystander import robot_place
 from needleplan.devices.robot._wire import RobotWire
 from needleplan.devices.robot.conversation import RobotClock, RobotConversation, StatusCounts
 from needleplan.devices.robot.messages import (
     NAMES_OF_FAULTS,
-    ROBOT_PORT,
     VERSION,
     MotionLimits,
     Result,
@@ -137,12 +137,8 @@ class RobotStage(Stage):
         Raises AddressError if the address or the key is wrong, DeviceFault if the robot does not answer, has another
         controller, does not accept the limits, or is in a fault that stays.
         """
-        parsed = Address.parse(address)
-        if parsed.scheme != "udp":
-            raise AddressError(Mistake("address", address, "a robot is reached by udp://host"))
-        parsed.only(("watchdog_s", "valid_s", "alive", "local_port", "key_file"))
+        parsed, (host, port) = robot_place(address, ("watchdog_s", "valid_s", "alive", "local_port", "key_file"))
         require_called_heartbeat(parsed)
-        host, port = parsed.network(ROBOT_PORT)
         usual = RobotTiming() if timing is None else timing
         silence_s = parsed.option("watchdog_s", float, usual.silence_s)
         valid_s = parsed.option("valid_s", float, usual.valid_s)

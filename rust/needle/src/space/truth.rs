@@ -42,7 +42,10 @@ impl SpaceTruth {
 /// Follows an execution in the anatomy.
 struct Witness<'a> {
     truth: SpaceTruth,
+    /// The anatomy in which the plan believes.
     volume: &'a Volume,
+    /// The anatomy as it is.
+    anatomy: &'a Volume,
     /// Believed centre of the target, mm.
     centre: Vec3,
     way: Way<'a>,
@@ -53,11 +56,11 @@ struct Witness<'a> {
 }
 
 impl<'a> Witness<'a> {
-    fn new(truth: SpaceTruth, volume: &'a Volume, centre: Vec3, start: SpacePose) -> Self {
+    fn new(truth: SpaceTruth, [volume, anatomy]: [&'a Volume; 2], centre: Vec3, start: SpacePose) -> Self {
         let place = truth.place(start.position);
-        let (last, way) = ([start; 2], volume.way(place));
-        let mut witness = Witness { truth, volume, centre, way, last, is_inside: false, event: None };
-        witness.sees(volume.code(place));
+        let (last, way) = ([start; 2], anatomy.way(place));
+        let mut witness = Witness { truth, volume, anatomy, centre, way, last, is_inside: false, event: None };
+        witness.sees(anatomy.code(place));
         witness
     }
 
@@ -79,7 +82,7 @@ impl<'a> Witness<'a> {
         let code = self.way.to(place);
         // The target ends no way, and what is behind it counts.
         let is_passed = code == voxel::TARGET || code == voxel::OUTSIDE && !self.is_inside;
-        self.sees(if is_passed { self.volume.code(place) } else { code });
+        self.sees(if is_passed { self.anatomy.code(place) } else { code });
     }
 
     /// Whether the tip ends in the true target, after it has met the believed one: at the point of the believed target
@@ -101,7 +104,7 @@ impl<'a> Witness<'a> {
             end = next;
             self.goes_to(end);
         }
-        self.event.is_none() && self.volume.code(self.truth.place(end)) == voxel::TARGET
+        self.event.is_none() && self.anatomy.code(self.truth.place(end)) == voxel::TARGET
     }
 }
 
@@ -111,12 +114,12 @@ impl Watch for Witness<'_> {
         self.goes_to(pose.position);
     }
 
-    fn curvature(&self, volume: &Volume, position: Vec3) -> f64 {
-        self.truth.curvature * volume.curvature(self.truth.place(position))
+    fn curvature(&self, _: &Volume, position: Vec3) -> f64 {
+        self.truth.curvature * self.anatomy.curvature(self.truth.place(position))
     }
 
     fn is_elsewhere(&self) -> bool {
-        !self.truth.is_in_place()
+        !(self.truth.is_in_place() && std::ptr::eq(self.volume, self.anatomy))
     }
 
     fn event(&self) -> Option<Event> {
@@ -124,7 +127,7 @@ impl Watch for Witness<'_> {
     }
 
     fn judged(&mut self, event: Event) -> Event {
-        if event != Event::Target || self.truth.is_in_place() || self.ends_in_target() {
+        if event != Event::Target || !self.is_elsewhere() || self.ends_in_target() {
             return event;
         }
         self.event.unwrap_or(Event::Exit)
@@ -133,8 +136,8 @@ impl Watch for Witness<'_> {
 
 impl SpaceExecutor<'_> {
     /// Executes the policy once from each start, where the plan is wrong as its truth says, with the noise of run 0, 1, 2 ...
-    /// of [`SpaceExecutor::rollout`]. `centre` is the believed centre of the target, mm. An exit is also the end of a tip beside
-    /// the target.
+    /// of [`SpaceExecutor::rollout`]. `centre` is the believed centre of the target, mm; `anatomy` is the true anatomy if it is
+    /// not that of the plan. An exit is also the end of a tip beside the target.
     ///
     /// # Errors
     /// As [`SpaceExecutor::rollout`], and [`Error::Length`] for another number of truths than of starts.
@@ -143,16 +146,18 @@ impl SpaceExecutor<'_> {
         starts: &[SpacePose],
         truths: &[SpaceTruth],
         centre: Vec3,
+        anatomy: Option<&Volume>,
         seed: u64,
     ) -> Result<Vec<SpaceRun>> {
         if truths.len() != starts.len() {
             return Err(Error::Length { name: "truths", expected: starts.len(), found: truths.len() });
         }
         let (stop, setup) = (StopFlag::current(), self.problem.setup());
+        let volumes = [&setup.volume, anatomy.unwrap_or(&setup.volume)];
         let one = |(run, (start, truth)): (usize, (&SpacePose, &SpaceTruth))| {
             stop.check();
             let start = self.checked(*start)?;
-            let mut witness = Witness::new(*truth, &setup.volume, centre, start);
+            let mut witness = Witness::new(*truth, volumes, centre, start);
             Ok(self.run(start, setup.noise, &mut stream(seed, run as u64), &mut witness))
         };
         starts.par_iter().zip(truths).enumerate().with_min_len(16).map(one).collect()

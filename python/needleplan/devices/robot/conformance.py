@@ -1,0 +1,88 @@
+"""Conformance of a robot: every rule of the robot protocol, tried on the robot itself.
+
+The robot moves between its present depth and a depth that a person has permitted, and every session asks for limits
+that allow no other motion.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Collection, Iterator
+from dataclasses import dataclass
+from enum import StrEnum
+
+from needleplan.devices._opening import Address, open_link
+from needleplan.devices.robot import _motion_rules, _session_rules
+from needleplan.devices.robot._bench import RobotBench
+from needleplan.devices.robot._bystander import robot_place
+from needleplan.devices.robot._codes import RobotKind
+from needleplan.devices.robot._probe import RobotAstray, RuleBroken
+from needleplan.devices.robot._stage import read_key
+from needleplan.errors import DeviceFault
+
+__all__ = ["CASES", "ConformanceCase", "ConformanceVerdict", "RobotBench", "open_bench", "try_cases"]
+
+CASES: dict[str, Callable[[RobotBench], None]] = {
+    name.replace("_", "-"): case
+    for rules in (_session_rules, _motion_rules)
+    for name, case in vars(rules).items()
+    if name in rules.__all__
+}
+"""Functions that try one rule each, by name; they raise DeviceFault if the robot breaks it."""
+
+
+class ConformanceVerdict(StrEnum):
+    """Outcome of a case."""
+
+    HOLDS = "holds"
+    BROKEN = "broken"
+    OMITTED = "omitted"
+    """The case does not apply, or the test was given up before."""
+
+
+@dataclass(frozen=True)
+class ConformanceCase:
+    """A rule of the protocol, whether the robot keeps it, and what it did otherwise."""
+
+    name: str
+    rule: str
+    verdict: ConformanceVerdict
+    found: str = ""
+
+
+def try_cases(bench: RobotBench, only: Collection[str] = ()) -> Iterator[ConformanceCase]:
+    """Try all cases, or those named, and yield each outcome. At the end, go back, restore HOMED, note `rests`."""
+    gave_up = ""
+    for name, case in CASES.items():
+        if only and name not in only:
+            continue
+        rule, found = " ".join((case.__doc__ or "").split()), ""
+        if gave_up or (name == "key" and bench.key is None):
+            yield ConformanceCase(name, rule, ConformanceVerdict.OMITTED, gave_up or "the robot has no key")
+            continue
+        try:
+            with bench.closing():
+                case(bench)
+        except RobotAstray as astray:
+            found = gave_up = str(astray)
+        except DeviceFault as broken:
+            found = str(broken)
+            with bench.closing():
+                bench.probe().is_released()
+        yield ConformanceCase(name, rule, ConformanceVerdict.BROKEN if found else ConformanceVerdict.HOLDS, found)
+    bench.rests = False
+    with bench.closing(), contextlib.suppress(DeviceFault):
+        probe = bench.ready()
+        probe.ask(probe.command(RobotKind.HOME if bench.was_homed else RobotKind.UNHOME))
+        if not gave_up:
+            with contextlib.suppress(RuleBroken):
+                probe.go(bench.motion.start_mm)
+        probe.rests("the test")
+        bench.rests = True
+
+
+def open_bench(address: str, may_move_mm: float) -> RobotBench:
+    """Return the bench of the robot at `udp://host[:5005][?key_file=path]`. Raises AddressError, and as RobotBench."""
+    parsed, (host, port) = robot_place(address, ("key_file",))
+    key = read_key(parsed.options["key_file"]) if "key_file" in parsed.options else None
+    return RobotBench(lambda: open_link(Address("udp", host, port)), may_move_mm, key)
