@@ -29,7 +29,7 @@ __all__ = ["Anatomy"]
 
 @dataclass(frozen=True, eq=False)
 class Anatomy:
-    """A segmented volume and what is planned in it.
+    """A segmented volume, the meaning of its labels, and the settings of the plan.
 
     Parameters
     ----------
@@ -42,11 +42,11 @@ class Anatomy:
     source : str, optional
         Name of the anatomy file in messages. Default: no name.
     motion : TissueMotion, optional
-        How the tissue moves by breathing. Default: it is at rest.
+        Motion of the tissue by breathing. Default: the tissue is at rest.
     exhaled : Anatomy, optional
         The anatomy at the end of an exhalation, as in the file. Default: this anatomy.
     balls : dict, optional
-        Where balls of the file are at this level of inspiration. Default: where the file has them.
+        The ball at this level of inspiration for each ball of the file that has moved. Default: no ball has moved.
 
     Raises
     ------
@@ -177,7 +177,7 @@ class Anatomy:
         level : float
             Level of inspiration.
         near_mm : numpy.ndarray, optional
-            Points in RAS (mm), shape (n, 3), to whose surroundings the volume is cropped. Default: the whole volume.
+            Points in RAS (mm), shape (n, 3). The volume is cropped to their surroundings. Default: the whole volume.
 
         Returns
         -------
@@ -205,7 +205,8 @@ class Anatomy:
         region : str, int or Sphere
             Name or number of a label, or a ball in the coordinates of the volume (mm).
         touched : bool, default False
-            Whether a voxel belongs to a ball if a part of it may be in the ball. Default: if its centre is in the ball.
+            If true, a ball contains every voxel that it may touch. By default, it contains the voxels with their centre
+            in it.
 
         Returns
         -------

@@ -49,7 +49,7 @@ _TOLD_ML = 0.05
 
 @dataclass(frozen=True)
 class CaseChoices:
-    """What a person has decided of a case.
+    """Decisions of a person about a folder of segmentations.
 
     Parameters
     ----------
@@ -119,7 +119,7 @@ def read_case(folder: str | os.PathLike[str], choices: CaseChoices | None = None
         Folder with segmentations (.nii, .nii.gz, .nrrd, .nhdr), label names for files with several labels without names
         (.ctbl, .csv, .txt), and marked points (.mrk.json, .fcsv).
     choices : CaseChoices, optional
-        What is decided already. Default: nothing.
+        Decisions that are already made. Default: none.
 
     Returns
     -------
@@ -128,7 +128,7 @@ def read_case(folder: str | os.PathLike[str], choices: CaseChoices | None = None
     Raises
     ------
     ScenarioError
-        If a file is wrong, or with what has to be decided.
+        If a file is wrong, or decisions are missing; the message lists them.
     """
     choices, place = choices or CaseChoices(), Path(folder)
     everything, points = _read_all(place)

@@ -73,7 +73,7 @@ class CommonGrid:
         return bool(reach.max() < _SAME_VOXELS and abs(offset - np.round(offset)).max() < _SAME_VOXELS)
 
     def box(self, structure: Structure) -> tuple[tuple[slice, slice, slice], NDArray[np.bool_]]:
-        """Return the slices of the grid around a structure, and the mask of their voxels with a centre in it."""
+        """Return the box of the grid around a structure (slices), and the mask of its voxels with a centre in it."""
         low, high = self._box(structure, structure.corner, structure.corner + structure.inside.shape)
         first = np.maximum(np.floor(low + 0.5), 0).astype(np.int64)
         last = np.minimum(np.ceil(high + 0.5), self.shape).astype(np.int64)

@@ -190,8 +190,8 @@ class AnatomyRegions(
 ):
     """The volume, and the meaning of its labels. Regions are labels, or balls in RAS mm.
 
-    There is one `target`, or there are several `targets`; the same holds for `entry` and `entries`.
-    `margin_mm` holds for all obstacles that have no own in `margins_mm`.
+    There is one `target`, or there are several `targets`; the same holds for `entry` and `entries`. `margin_mm` is the
+    margin of the obstacles that are not in `margins_mm`.
     """
 
     file: str = ruled(Text(filled=True))
@@ -208,7 +208,7 @@ class AnatomyRegions(
 
     @property
     def entrances(self) -> dict[str, NamedEntry]:
-        """The entry regions by their keys in messages, without "anatomy."; a single one has the name "entry"."""
+        """Entry regions by their keys in messages (without "anatomy."); a single region has the name "entry"."""
         if self.entry is not None:
             return {"entry": NamedEntry("entry", self.entry)}
         return {f'entries {place} ("{each.name}").region': each for place, each in enumerate(self.entries, start=1)}
@@ -245,11 +245,11 @@ def _one_thickness(diameter_mm: float | None, gauge: int | None) -> Iterator[Mis
 class SpaceNeedle(ConfigTable, key="needle", error=ScenarioError, between=(_one_thickness,)):
     """The needle in 3D.
 
-    `curvature_radius_mm` holds where no label has its own. `tip_noise_deg` is the standard deviation of each of the two
-    angles of the tangent after 10 mm of insertion; it grows with the square root of the length. `straight_steps`
-    permits straight steps, by duty cycling. Obstacles are grown by half of `thickness_mm`, beside their margin; the
-    shaft follows the tip, so it needs no more room. The thickness is `diameter_mm`, or the outer diameter of `gauge`.
-    `length_mm`: the part that can be inserted; entries with a longer path are left out.
+    `curvature_radius_mm` is the radius in tissues without one of their own. `tip_noise_deg` is the standard deviation
+    of each of the two angles of the tangent after 10 mm of insertion; it grows with the square root of the length.
+    `straight_steps` permits straight steps, by duty cycling. Obstacles are grown by half of `thickness_mm`, beside
+    their margin; the shaft follows the tip, so it needs no more room. The thickness is `diameter_mm`, or the outer
+    diameter of `gauge`. `length_mm`: the part that can be inserted; entries with a longer path are left out.
     """
 
     curvature_radius_mm: float = ruled(_RADIUS)
@@ -306,7 +306,7 @@ class SpaceLattice(ConfigTable, key="lattice", error=ScenarioError, between=(_wh
         return tuple(each for each in SPACINGS_MM if self.step_mm is None or _is_whole(self.step_mm, each))
 
     def step_of(self, spacing_mm: float) -> float:
-        """Return the advance of a step (mm) with a spacing: `step_mm`, or the multiple of it that is nearest to 4."""
+        """Return the advance of a step (mm): `step_mm`, by default the multiple of the spacing nearest to 4 mm."""
         return self.step_mm or spacing_mm * max(round(_STEP_MM / spacing_mm), 1)
 
 

@@ -75,8 +75,10 @@ _FARTHEST_MM = 30.0
 class SpaceFrame:
     """Axes and grid of a lattice.
 
-    `origin_mm`: grid point 0 in RAS mm, shape (3,). `axes`: rows are the unit vectors of x, y and z in RAS, shape (3,
-    3). `spacing_mm`: distance of grid points. `shape`: number of grid points along x, y and z.
+    - `origin_mm`: grid point 0 in RAS mm, shape (3,).
+    - `axes`: rows are the unit vectors of x, y and z in RAS, shape (3, 3).
+    - `spacing_mm`: distance of grid points.
+    - `shape`: number of grid points along x, y and z.
 
     `local` moves positions from RAS to the lattice, and `world` back. A direction d in RAS is `axes @ d` in the
     lattice; a direction t of the lattice is `t @ axes` in RAS.
@@ -259,7 +261,7 @@ class FileDistances:
     distances_mm: NDArray[np.float32]
 
     def at(self, index: NDArray[np.int64]) -> NDArray[np.float32]:
-        """Return the distances of voxels of the file, shape (n, 3); at most 30 mm."""
+        """Return the distances (mm, at most 30), shape (n,), of voxels with the indices `index`, shape (n, 3)."""
         if not self.distances_mm.size:
             return np.full(len(index), _FARTHEST_MM, np.float32)
         inside = np.clip(index - self.first, 0, np.array(self.distances_mm.shape) - 1)
@@ -278,7 +280,7 @@ class FileDistances:
 
 
 def file_distances(volume: LabelVolume, obstacle: NDArray[np.bool_], frame: SpaceFrame) -> FileDistances:
-    """Return the distances of the voxels of a file near a frame to those of `obstacle`; empty if there are none."""
+    """Return the distances from the voxels near a frame to the voxels of `obstacle`; empty without such voxels."""
     from scipy import ndimage
 
     low, box = volume.near(frame.corners_mm, _FARTHEST_MM)

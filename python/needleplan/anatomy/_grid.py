@@ -40,15 +40,18 @@ __all__ = ["FREE", "OBSTACLE", "OUTSIDE", "TARGET", "AnatomyGrid", "grid_of", "g
 
 @dataclass(frozen=True, eq=False)
 class AnatomyGrid:
-    """What is where in a frame of the shape (nx, ny, nz). The last three arrays have this shape.
+    """Obstacles, target, entry points and tissues on a lattice of the shape (nx, ny, nz).
 
-    `voxels`: 0 free, 1 target, 2 obstacle (grown by margin and needle), 3 outside of volume or body, in r^3 voxels for
-    each grid point, shape (r nx, r ny, r nz). The centre of voxel (r i, r j, r k) is the grid point (i, j, k).
-    `possible`: what is possible in the cells of a proof, of the same kind (`possible_cells`). `clearance_mm`: distance
-    to the obstacles without margin, at most 30. `entry`: 0, or the number from 1 on of the voxel of the grid point, in
-    the order [x][y][z], in which a needle enters; 1 is the grid point itself. `tissues`: index of the radius in
-    `radii_mm`; index 0 is the radius of the needle. `target`: the target as the user gave it, in which executions end.
-    `loss`: what the lattice changes of the file; None for a grid from a table file.
+    - `voxels`: 0 free, 1 target, 2 obstacle (grown by margin and needle), 3 outside of volume or body, in r^3 voxels
+      for each grid point, shape (r nx, r ny, r nz). The centre of voxel (r i, r j, r k) is the grid point (i, j, k).
+    - `possible`: codes of the cells of the reachability proof (`possible_cells`).
+    - `clearance_mm`: distance to the obstacles without margin, at most 30.
+    - `entry`: 0 without an entry at the grid point; else the number of the voxel in which the needle enters, in the
+      order [x][y][z] of the voxels of the grid point, from 1, the grid point itself.
+    - `tissues`: index of the radius in `radii_mm`; index 0 is the radius of the needle.
+    - `target`: the target as the user gave it, in which executions end.
+    - `loss`: differences between lattice and file; None for a grid from a table file. `clearance_mm`, `entry` and
+      `tissues` have the shape (nx, ny, nz).
     """
 
     frame: SpaceFrame
@@ -76,7 +79,7 @@ class AnatomyGrid:
 
     @cached_property
     def codes(self) -> NDArray[np.uint8]:
-        """Codes of the voxels at the grid points, to draw them; a target between grid points has the nearest ones."""
+        """Voxel codes at the grid points, for drawings; a target between grid points is drawn at the nearest ones."""
         every = slice(None, None, self.refinement)
         codes = np.ascontiguousarray(self.voxels[every, every, every])
         if not (codes == TARGET).any():
@@ -102,7 +105,7 @@ class AnatomyGrid:
         return np.asarray(ndimage.map_coordinates(self.clearance_mm, index, np.float64, order=1, mode="nearest"))
 
     def entry_points_mm(self) -> NDArray[np.float64]:
-        """Return the entry points in the frame (mm), shape (n, 3): the first one of each sheet along the axis."""
+        """Return the first entry point of each run of entry points along x, in the frame (mm), shape (n, 3)."""
         is_entry, r = self.entry > 0, self.refinement
         is_entry[1:] &= self.entry[:-1] == 0
         points = np.argwhere(is_entry.transpose(1, 2, 0))[:, [2, 0, 1]]

@@ -44,9 +44,10 @@ def _ordered(low_mm: tuple[float, ...] | None, high_mm: tuple[float, ...] | None
 class SpaceLimits(ConfigTable, key="limits", error=ScenarioError, between=(_both, _ordered)):
     """Limits that an entry keeps.
 
-    `insertion_mm`: greatest length of the path without noise. `toward`, `toward_deg`: the direction of the entry lies
-    in this cone about a direction in RAS. `low_mm`, `high_mm`, `half_spaces`: the entry point lies in the workspace of
-    the robot, a box and half-spaces in RAS mm.
+    - `insertion_mm`: greatest length of the path without noise.
+    - `toward`, `toward_deg`: the direction of the entry lies in this cone about a direction in RAS.
+    - `low_mm`, `high_mm`, `half_spaces`: the entry point lies in the workspace of the robot, a box and half-spaces in
+      RAS mm.
     """
 
     insertion_mm: float | None = ruled(Maybe(Number("mm", above=0, at_most=1000)), None)

@@ -75,7 +75,7 @@ def lattice_loss(
     distances : FileDistances
         Distances of the voxels of the file to the obstacles.
     farthest_mm : float
-        Largest distance to obstacles of the file at which the lattice can have an obstacle.
+        Largest distance from the obstacles of the file at which a voxel of the lattice can be an obstacle.
     """
     if not distances.distances_mm.size:
         return LatticeLoss(0.0, 0.0, 0.0)

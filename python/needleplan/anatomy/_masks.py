@@ -66,9 +66,9 @@ def stem_of(file: Path) -> str:
 def read_structures(file: Path, tables: Mapping[str, Mapping[str, int]]) -> list[Structure]:
     """Return the structures of a segmentation file; some may have no voxels.
 
-    Names are those of the segments or of a NIfTI extension, else of the table in `tables` with the stem of the file or
-    of the only one, else a mask without other labels has the stem of its file. Raises ScenarioError if the file cannot
-    be read, or has several labels without names.
+    Names come from the segments or a NIfTI extension; else from the table in `tables` with the stem of the file, or
+    from the only table. Else a mask with one label has the stem of its file as its name. Raises ScenarioError if the
+    file cannot be read, or has several labels without names.
     """
     if file.name.lower().endswith(".dcm"):
         found: list[Structure] = []

@@ -58,9 +58,10 @@ def read_nifti(path: Path) -> LabelVolume:
 
 
 def extension_names(path: Path) -> dict[str, int]:
-    """Return the labels by name that an extension of a NIfTI file states, as TotalSegmentator writes them.
+    """Return the label numbers by name from an extension of a NIfTI file, as TotalSegmentator writes it.
 
-    They are the elements `Label` of an XML text, with the attribute `Key`. Other files have none.
+    The extension is an XML text with elements `Label`, whose attribute `Key` is the number. Without it the result is
+    empty.
     """
     if not path.name.lower().endswith((".nii", ".nii.gz")):
         return {}

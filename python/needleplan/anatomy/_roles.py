@@ -14,7 +14,7 @@ __all__ = ["StructureRole", "role_by_name"]
 
 
 class StructureRole(StrEnum):
-    """What a structure is for a plan."""
+    """Role of a structure in a plan."""
 
     TARGET = "target"
     """What the tip must reach."""

@@ -62,7 +62,7 @@ _ENTERED = 4
 
 @dataclass(frozen=True, eq=False)
 class Growths:
-    """How far the obstacles of a file are grown: the kind of each voxel, 0 for none, and the mm of each other kind."""
+    """Growth of obstacles: `kinds` of the voxels (0: none), and the growth (mm) of the kinds 1, 2 and so on."""
 
     kinds: NDArray[np.uint8]
     growths_mm: tuple[float, ...]

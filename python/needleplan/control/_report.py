@@ -28,7 +28,7 @@ __all__ = [
 
 
 class InsertionOutcome(StrEnum):
-    """Outcome of an insertion. With each, the guard has sent a stop; `InsertionReport.rest` tells what it did."""
+    """Outcome of an insertion. The guard has sent a stop; `InsertionReport.rest` tells whether the needle rests."""
 
     TARGET = "target"
     MISSED = "missed"
@@ -60,8 +60,8 @@ class InsertionOutcome(StrEnum):
 class SpaceErrors:
     """Errors of the tip in 3D, relative to the end of the planned path.
 
-    - `lateral_mm`: the part across the planned direction of the vector from the centre of the target to the tip, in RAS
-    - `along_mm`: the part along it, positive if the tip is too deep
+    - `lateral_mm`: vector from the centre of the target to the tip, its part across the planned direction, in RAS
+    - `along_mm`: part of this vector along the planned direction, positive if the tip is too deep
     - `direction_rad`: angle between the directions of the tip and of the end of the planned path
     """
 

@@ -42,7 +42,7 @@ _NEVER_S = 5.0  # time (s) after which a STOP counts as missing
 
 @dataclass(frozen=True)
 class Promptness:
-    """What was measured: median, 99.9 % and largest time (ms), and the number of times, of stops and of heartbeats."""
+    """Measured times (ms) of stops and of heartbeats: median, 99.9 % quantile, largest, and number."""
 
     host: str
     priority: str
@@ -212,7 +212,7 @@ class _Program(Closing):
 
 
 def measure_promptness(seconds: float, link: type[UdpLink] = UdpLink) -> Promptness:
-    """Measure this machine for a time (s), at least one try, and return what was measured.
+    """Measure the times of stops and heartbeats on this machine for a time (s), at least one try.
 
     `link` is the link of the program; with a subclass of UdpLink, Python keeps the socket.
     """

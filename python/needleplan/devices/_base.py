@@ -43,7 +43,7 @@ _Quaternion = tuple[float, float, float, float]
 
 
 class Closing(ABC):
-    """Abstract base of everything that is closed by leaving its `with` block."""
+    """Abstract base of objects that close at the end of their `with` block."""
 
     @abstractmethod
     def close(self) -> None:

@@ -71,8 +71,8 @@ class FilterStep:
 class ScalarKalmanFilter(ExtendedKalmanFilter):  # type: ignore[misc]
     """Extended Kalman filter with a scalar measurement; the caller evaluates the nonlinear functions.
 
-    filterpy predicts linearly, F x; this class replaces the prediction by a given state. The update of filterpy is in
-    Joseph form, which keeps P symmetric and positive.
+    filterpy predicts the state as F x; this class takes a predicted state from the caller instead. The update of
+    filterpy is in Joseph form, which keeps P symmetric and positive.
     """
 
     x: Array
@@ -197,7 +197,7 @@ class JointFilter:
 
     @property
     def diverged(self) -> bool:
-        """Whether the estimate or its covariance stopped being finite."""
+        """Whether the estimate or its covariance is no longer finite."""
         return self.counts[SampleUse.DIVERGED] > 0
 
     @property

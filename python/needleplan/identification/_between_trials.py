@@ -41,7 +41,7 @@ _LOST = 1e-6
 
 @dataclass(frozen=True)
 class TrialScatter:
-    """A joint fit whose model and estimates hold the scatter between trials, and remarks on how."""
+    """A joint fit with the scatter between trials in its estimates, and remarks on the scatter."""
 
     fit: Fit
     remarks: tuple[str, ...] = ()

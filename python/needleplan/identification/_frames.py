@@ -33,7 +33,7 @@ _END = 0.05
 def frame_remarks(found: Sequence[CurvatureTrial]) -> list[str]:
     """Return a remark for every insertion that seems to be in another frame than the others.
 
-    With two insertions nothing says which of them differs; both are then named.
+    Of two insertions, both are named, because the data do not show which of them differs.
     """
     if len(found) < 2:
         return []

@@ -76,9 +76,9 @@ class Trials:
 
 
 def trials_by_role(given: object, *, noise_is_used: bool = False, faults_are_named: bool = False) -> Trials:
-    """Return the records in what is given by their role; references train too.
+    """Sort records by their role; references are training records too.
 
-    `given` is as of `needleplan.signals.records_of`; files are read, too.
+    `given` are files, or records as for `needleplan.signals.records_of`.
 
     Raises DataError if no record has the role train, or if their frames differ.
     If there are records of noise and `noise_is_used` is False, a remark states that they are left out. If the

@@ -44,7 +44,7 @@ class ShapeKind(StrEnum):
 
 @dataclass(frozen=True)
 class PathShape:
-    """A member of the family of curvatures by depth.
+    """A form of the curvature as a function of the depth.
 
     `places_mm` are positions along the path: the edges between layers, or all knots of a smooth curvature; empty for a
     uniform curvature.

@@ -121,9 +121,9 @@ class FrictionOnSensor(SelfIntegratingModel):
 def with_velocity(record: Record) -> Record:
     """Return the record with a velocity: its own, or that of the depth without delay.
 
-    A short window passes the noise of the depth on to the acceleration, a long one rounds its changes off. The window
-    is the longest one whose accelerations differ from those of all shorter ones by at most twice the noise of these
-    (Lepskii, Theory Probab. Appl. 35 (1990) 454).
+    A short window passes the noise of the depth on to the acceleration, and a long window smooths real changes. The
+    chosen window is the longest one whose accelerations differ from those of every shorter window by at most twice the
+    noise of the shorter one (Lepskii, Theory Probab. Appl. 35 (1990) 454).
     """
     if "velocity_mm_s" in record.columns:
         return record
@@ -151,9 +151,9 @@ def _velocity(record: Record, window_s: float) -> tuple[Array, float]:
 
 
 def on_sensor(candidate: Candidate, *, mass: bool, offset: bool) -> Candidate:
-    """Return the candidate with a moving mass, an offset of the sensor, or both in addition.
+    """Add a moving mass, an offset of the sensor, or both to a candidate, and return it.
 
-    Friction by direction has no offset beside it: it takes up an offset by different forces in the two directions.
+    Friction by direction gets no offset: its different forces in the two directions take up an offset.
     """
     assert isinstance(candidate.model, Friction)
     more = {"mass_kg": mass, "offset_n": offset and not isinstance(candidate.model, DirectionalKarnopp)}
@@ -163,7 +163,7 @@ def on_sensor(candidate: Candidate, *, mass: bool, offset: bool) -> Candidate:
 
 @dataclass(frozen=True)
 class MovingMass:
-    """The identified mass (kg): its estimate, the change by additional noise of the motion, and remarks."""
+    """The identified mass (kg): its estimate, its change if noise is added to the motion, and remarks."""
 
     estimate: Estimate
     change_kg: float
@@ -207,7 +207,7 @@ def moving_mass(found: Fit, train: Sequence[Record], refit: Callable[[Sequence[R
 
 
 def stored(found: Fit) -> Model:
-    """Return the friction model with the effects `inertia` and `bias` that the fit has; the mass is above 0."""
+    """Return the fitted friction model with the fitted effects `inertia` and `bias`; a fitted mass is above 0."""
     assert isinstance(found.model, FrictionOnSensor)
     names = {"mass_kg": "inertia", "offset_n": "bias"}
     effects = [

@@ -53,7 +53,7 @@ _DWELL_S, _SPEEDS = 0.5, 1.5
 
 @dataclass(frozen=True)
 class Member:
-    """A fitted member of the family: its label, its fit, the held-out RMSE (N; NaN without), and the BIC."""
+    """A fitted model of the family: label, fit, RMSE on held-out trials (N; NaN without such trials), and BIC."""
 
     label: str
     fit: Fit
@@ -92,7 +92,10 @@ def _fitted(fitter: _Fitter, start: RelaxingForce, free: tuple[str, ...]) -> Fit
 
 
 def choose_member(members: Sequence[Member]) -> Member:
-    """Return the chosen one of the fitted members."""
+    """Choose the member with the fewest parameters of those with about the least held-out RMSE.
+
+    Without held-out trials, choose the member with the least BIC.
+    """
     if math.isnan(members[0].held_out_rmse_n):
         return min(members, key=lambda each: each.bic)
     least = min(member.held_out_rmse_n for member in members)
@@ -110,7 +113,7 @@ def fit_members(
     capsules: int = BOUNDARIES,
     most_branches: int = 2,
 ) -> list[Member]:
-    """Fit the members to `train` and return them in the order of the fits, with their scores on `held`.
+    """Fit the models of the family to `train`, and return them in the order of the fits, with their scores on `held`.
 
     `mask` and `held_mask` select samples, `smooth` filters the simulated force. `capsules` is the largest number of
     capsules, `most_branches` that of branches. Raises DataError if no sample has a force.

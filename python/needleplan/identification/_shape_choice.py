@@ -36,7 +36,7 @@ _STEEPEST_RAD = 1.5
 
 @dataclass(frozen=True)
 class ShapeChoice:
-    """The chosen shape, the fitted paths, and the RMS distance (mm) of the insertions left out for each candidate."""
+    """The chosen shape, the fitted paths, and for each candidate the RMS distance (mm) of left-out insertions."""
 
     shape: PathShape
     paths: tuple[EntryPath, ...]
@@ -45,7 +45,7 @@ class ShapeChoice:
 
 
 def shaped_paths(trials: Sequence[CurvatureTrial], layers: int | None) -> ShapeChoice:
-    """Return the paths of trials with a number of layers, or with the shape that the insertions left out choose.
+    """Return the paths of trials with `layers` layers; None: with the shape that cross-validation chooses.
 
     `identify curvature`, `identify deflection`, `--scenario` and `diagnose` all take their path from here.
     """

@@ -71,9 +71,10 @@ def candidates(
     The candidates are Karnopp, Karnopp by direction, I, II and, for each value of lambda in `exponents`, III-B. If the
     inserted length varies by more than 1 mm, "II, Fn(L)" and, for each lambda, III-A are added. If `models` is not
     empty, only candidates are returned whose label without lambda is in `models`. `patch` sets constants of all models
-    by name, such as thickness_mm. The normal force is 1 N, or the power of ten below the friction if that is over 10 N,
-    so that coefficients stay within their ranges. sigma0 of Model I is not fitted, because the data hardly depend on it
-    if the contact length is many times g/sigma0. Raises DataError for records without motion or force.
+    by name, such as thickness_mm. The normal force is 1 N; if the friction is above 10 N, it is the power of ten below
+    the friction, so that coefficients stay within their ranges. sigma0 of Model I is not fitted, because the data
+    hardly depend on it if the contact length is many times g/sigma0. Raises DataError for records without motion or
+    force.
     """
     guess: dict[str, Any] = dict(first_guess(records))
     normal_n = 10.0 ** math.floor(math.log10(guess["mu_c"])) if guess["mu_c"] > _LARGE_N else 1.0

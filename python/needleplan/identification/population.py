@@ -45,7 +45,7 @@ _CONFORMAL = 19
 
 
 def deviation_mm(length_mm: float) -> float:
-    """Return s0 (mm), the assumed scatter of insertions of a series after a length (mm) that nothing measures."""
+    """Return s0 (mm), the assumed scatter between insertions of a series after an unmeasured length (mm)."""
     return math.hypot(_PLAY_RAD * length_mm, _TRACKER_MM)
 
 
@@ -142,7 +142,7 @@ def _law(count: int, drift: float, level_sd: float) -> _Law:
 def next_insertion(
     values: Array, scatter: Array | float, *, level_sd: float = math.inf, ordered: bool = True
 ) -> InsertionForecast:
-    """Forecast what the next insertion of a series will measure, with a region of 95 % probability.
+    """Forecast the measured values of the next insertion of a series, with a region of 95 % probability.
 
     A quantity, such as the lateral position of the tip, has the mean level m in the series and the standard deviation s
     between insertions; equations (1) to (8) of docs/explanation/population.md.
@@ -254,8 +254,8 @@ def new_series(series: Sequence[Array], within: InsertionForecast, scatter: Arra
     Returns
     -------
     InsertionForecast
-        Forecast from the means of the series, which follow the law of insertions without a drift. The half widths of
-        the region are the roots of the sums of squares of those between series and those of `within`.
+        Forecast from the means of the series, which follow the law of insertions without a drift. The half width of the
+        region is sqrt(b^2 + w^2), with the half widths b of the forecast between series and w of `within`.
 
     Examples
     --------

@@ -63,10 +63,11 @@ def scenario_part(
 
     `records`, `layers`, `plane` and `skip_mm` are used as in `curvature.identify`, and the path is the same. x is along
     the insertion, with the entry at x = 0. `layers` is 1 to 10, or None for the choice by insertions left out. The last
-    layer extends to the end of the workspace. The tip noise is computed from all trials but those of noise, for the
-    step length and the noise step of the scenario, `[motion] step_mm` and `tip_noise_step_deg`; without them, for one
-    heading of the grid per step at the radius of the whole path. A layer may be straight if another layer bends and the
-    scenario has `motion.step_mm`; a chosen shape that the scenario does not permit is replaced by one curvature.
+    layer extends to the end of the workspace. The tip noise is computed from all trials without the role noise. Its
+    step length and noise step are `[motion] step_mm` and `tip_noise_step_deg` of the scenario; by default, a step turns
+    by one heading of the grid at the radius of the whole path. A layer may be straight if another layer bends and the
+    scenario has `motion.step_mm`. If `layers` is None and the scenario does not permit the chosen shape, the result has
+    one curvature.
 
     Raises DataError if records or `layers` cannot be used or a layer may be straight otherwise, and ScenarioError if
     the identified values violate a rule of the scenario.

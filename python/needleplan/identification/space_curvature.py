@@ -37,7 +37,7 @@ _POSES = 5
 
 @dataclass(frozen=True)
 class SpaceInsertion:
-    """Samples of one insertion, in the order of their arrival, and what they refer to.
+    """Samples of one insertion, in the order of their arrival, with the registration and the zeros of the stage.
 
     `registration` leads to the frame of the lattice. `entry_depth_mm` and `roll_left_rad` are the zeros of the stage.
     """

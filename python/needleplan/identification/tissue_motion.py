@@ -82,8 +82,8 @@ def identify(
     starts
         Number of starting points of the fit.
     marker
-        Name of a column with the displacement (mm), along the needle, of a sensor in the tissue. The lag computed from
-        it is reported too. None: no such column.
+        Name of a column with the displacement (mm), along the needle, of a sensor in the tissue. The lag of this sensor
+        is reported too. None: no such column.
 
     Returns
     -------

@@ -135,7 +135,7 @@ class Fit:
 
     @property
     def trades(self) -> tuple[str, ...]:
-        """A sentence for every set of parameters that the data determine only together, with all their names."""
+        """A sentence for every set of parameters of which the data determine a combination only."""
         found = []
         for each in self.undetermined:
             names = sorted(each, key=lambda name: -abs(each[name]))

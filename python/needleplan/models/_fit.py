@@ -83,8 +83,7 @@ def fit(
     seed : int
         Seed of the further starts.
     lags : int, optional
-        m, the number of lags of the kernel estimator of the covariance. None: autoregressive noise, whose order the BIC
-        chooses.
+        Number of lags of a kernel estimator of the covariance. None: autoregressive noise, whose order the BIC chooses.
     max_evaluations : int
         Limit of the evaluations of the residuals for each start, without those for the Jacobian.
 

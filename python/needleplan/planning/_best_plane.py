@@ -42,8 +42,8 @@ _JOINED_MM = 0.05
 class AnatomyPlane:
     """A plane through an anatomy, its plan, and the best entry of this plan.
 
-    `angle_rad` is the angle of the plane about the axis, from y to z. `origin_mm` and `axes`, shape (2, 3), lead from
-    the plane to the lattice.
+    `angle_rad` is the angle of the plane about the axis, from y to z. `origin_mm`, shape (3,), and `axes`, shape (2,
+    3), are the origin and the axes of the plane in the frame of the lattice.
     """
 
     angle_rad: float

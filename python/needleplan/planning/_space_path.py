@@ -59,9 +59,11 @@ _NEWTON = 5
 class SpacePath:
     """One execution of a policy in 3D.
 
-    `poses`: positions in the frame (mm) and tangents, shape (k, 6). `turns`: poses directly before the rotations of the
-    needle, shape (turns, 6). `outcome`, `length_mm`, `straight_mm`, `cost`: as of a planar `Path`. `clearance_mm`:
-    smallest distance to an obstacle. `scenario`: that in which the policy was executed.
+    - `poses`: positions in the frame (mm) and tangents, shape (k, 6).
+    - `turns`: poses directly before the rotations of the needle, shape (turns, 6).
+    - `outcome`, `length_mm`, `straight_mm`, `cost`: as of a planar `Path`.
+    - `clearance_mm`: smallest distance to an obstacle.
+    - `scenario`: that in which the policy was executed.
     """
 
     poses: NDArray[np.float64]
@@ -124,12 +126,16 @@ class SpacePath:
 class SpacePaths:
     """Executions from n poses.
 
-    `reached`: whether the path ends in the target. `outcomes`: codes of `Outcome`. `ends`: code of the voxel that ended
-    it, as in `AnatomyGrid.codes`; `FREE` if the tangent has left the cone. `length_mm`, `straight_mm`: length, and that
-    of the straight steps. `turns`: number of changes of the roll angle. `clearance_mm`: smallest distance to an
-    obstacle. `cost`: sum of all costs. All have the shape (n,). `poses`: positions in the frame (mm) and tangents, all
-    paths one after the other, shape (m, 6); path k has the rows from `bounds[k]` to `bounds[k + 1]`. `turn_rows`: rows
-    of `poses` directly before a rotation of the needle.
+    - `reached`: whether the path ends in the target.
+    - `outcomes`: codes of `Outcome`.
+    - `ends`: code of the voxel that ended the path, as in `AnatomyGrid.codes`; `FREE` if the tangent has left the cone.
+    - `length_mm`, `straight_mm`: length, and that of the straight steps.
+    - `turns`: number of changes of the roll angle.
+    - `clearance_mm`: smallest distance to an obstacle.
+    - `cost`: sum of all costs. All have the shape (n,).
+    - `poses`: positions in the frame (mm) and tangents, all paths one after the other, shape (m, 6); path k has the
+      rows from `bounds[k]` to `bounds[k + 1]`.
+    - `turn_rows`: rows of `poses` directly before a rotation of the needle.
     """
 
     reached: NDArray[np.bool_]

@@ -51,7 +51,7 @@ def spread_out(
     apart_mm: float,
     first: Callable[[list[int]], int] = lambda left: left[0],
 ) -> list[int]:
-    """Return the first numbers of an order whose points are at least `apart_mm` from each other.
+    """Choose at most `count` numbers of an order whose points are at least `apart_mm` from each other.
 
     `first` chooses among the numbers that are left, in their order; by default the first of them.
     """
@@ -96,7 +96,7 @@ class EntryRanking:
 
     @cached_property
     def order(self) -> NDArray[np.int64]:
-        """Numbers of the entry points by success without an error, in steps of 0.1 %, and then by cost."""
+        """Numbers of the entry points, best first: by success at the exact pose, rounded to 0.1 %, then by cost."""
         return np.lexsort((self.value, -np.round(self.success / EQUAL_SUCCESS)))
 
     def first(self, *, exact: bool = False) -> int:
@@ -106,9 +106,9 @@ class EntryRanking:
     def best(self, count: int, apart_mm: float = 6.0, *, exact: bool = False) -> list[int]:
         """Return the numbers of the best entry points that are at least `apart_mm` from each other, best first.
 
-        They are the `candidates`, at least five, by their expected success as it is printed, and equal ones by the
-        other columns of the list; if `exact`, by their success without an error of the entry. The first does not depend
-        on a `count` up to five.
+        At least five `candidates` are ordered by their expected success by executions, rounded to 0.1 %, or if `exact`
+        by their success without an error of the entry; candidates with equal success are ordered by the other columns
+        of the list. The first entry is the same for every `count` up to five.
         """
         compared = self.candidates(max(count, COMPARED), apart_mm, exact=exact)
         paths = space_paths(self.solved, self.scenario.grid, self.poses[compared].reshape(-1, 6))
@@ -143,7 +143,7 @@ class EntryRanking:
         return known or Success(min(float(self.success[number]), 1.0))
 
     def with_error(self, number: int, success: Success) -> float:
-        """Return a success of an entry less the expected loss, by the table, if the needle enters with an error."""
+        """Return `success` minus the expected loss of success, by the table, by an error of the entry."""
         return max(success.value + self.expected_success(number) - float(self.success[number]), 0.0)
 
     def _shown(self, number: int, *, exact: bool) -> tuple[float, ...]:

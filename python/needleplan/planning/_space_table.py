@@ -251,7 +251,7 @@ class SpaceTable(Table):
 
         The estimate is unbiased, whatever the errors of the table are, and its variance is about a quarter of that of
         the share of as many executions (docs/explanation/space.md). Its random numbers differ from those of `rollout`
-        and `executions`, whatever the seeds, so these check it independently.
+        and `executions` for every seed, so both check the estimate independently.
 
         Parameters
         ----------
@@ -313,9 +313,8 @@ class SpaceTable(Table):
     def best_entry(self, *, exact: bool = False) -> Entry[SpacePose]:
         """Return the best entry, as `EntryMap.first` and `needleplan entry` do.
 
-        It is the first of the entries that are compared by executions (`EntryRanking.best`), which takes some seconds
-        if the table does not come from a file of `needleplan plan`, which holds what they showed.
-        If `exact`, they are compared by their success without an error of the entry.
+        Executions decide between the candidates (`EntryRanking.best`). This takes some seconds, unless a file of
+        `needleplan plan` holds their results. If `exact`, the success is that without an error of the entry.
         """
         return self._entry(self.ranking.first(exact=exact))
 

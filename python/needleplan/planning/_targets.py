@@ -64,9 +64,9 @@ class TargetEntry:
     expected_number, reached_all : float
         Expected number of targets that are reached, and probability that all are reached, from the exact poses.
     expected_interval, all_interval : tuple of float
-        Their intervals from the ends of the 95 % intervals of the targets; they cover at least as often.
+        Intervals of both numbers, from the ends of the 95 % intervals of the targets. Their coverage is at least 95 %.
     score : float
-        What the entry is ranked by: with an error of the entry, unless the ranking is by the exact pose.
+        Number by which the entry is ranked. It includes an error of the entry, unless the ranking is by the exact pose.
     expected_before_failure : float
         Expected number of targets that are reached before the first insertion that fails.
     """
@@ -125,7 +125,7 @@ class TargetMap:
 
     @property
     def runs(self) -> int:
-        """Number of executions of the estimate for a target: so many together as for one target, and at least 500."""
+        """Number of executions for each target: 2,000 divided by the number of targets, at least 500."""
         return max(ESTIMATE_RUNS // len(self.maps), _LEAST_RUNS)
 
     @cached_property
@@ -175,8 +175,8 @@ class TargetMap:
     ) -> list[TargetEntry]:
         """Return the best entry points, best first.
 
-        The tables propose at least five candidates by their scores; executions decide between them. Equal ones, to a
-        thousandth, are ordered by the smallest clearance and by the sum of the lengths.
+        The tables propose at least five candidates by their scores; executions decide between them. Entries whose
+        scores are equal to 0.001 are ordered by the smallest clearance and by the sum of the lengths.
 
         Parameters
         ----------

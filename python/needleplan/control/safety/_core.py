@@ -88,7 +88,7 @@ class GuardCore:
 
     @property
     def rest(self) -> Rest:
-        """What is known of the needle after the last stop: RESTS once it was measured at rest; UNKNOWN before a stop.
+        """Motion state of the needle after the last stop: RESTS if it was measured at rest; UNKNOWN before any stop.
 
         After MOVES or UNKNOWN, treat the needle as moving.
         """

@@ -129,8 +129,8 @@ class GuardedStage(GuardCore, Stage):
         """Report that the loop is running, validate all inputs, and return the state. The loop calls `tick` regularly.
 
         Only this method sends heartbeats to the stage, at most one in 4.5 ms. If the loop ends or hangs, the heartbeats
-        cease, and the watchdog of the stage stops the motion; so they do if the needle moves in spite of a stop. If a
-        heartbeat cannot be sent, the stage has failed.
+        cease, and the watchdog of the stage stops the motion. The heartbeats also cease if the needle moves in spite of
+        a stop. If a heartbeat cannot be sent, the stage has failed.
         """
         with self._held() as now_ns:
             # Validated before the time of the last tick is replaced, so that a late tick is detected.
@@ -167,9 +167,9 @@ class GuardedStage(GuardCore, Stage):
     def order(self, order: Order, by: str | Owner = "") -> SafetyState:
         """Validate all inputs, carry out an order, and return the state.
 
-        `by` is the name of the person who gives the order, or the Owner if it is not a person. A stage that has lost
-        its zero refuses ENABLE, and HOME by anybody but a person, whose HOME is passed on to the stage. Raises
-        MotionRefused with all causes of the refusal, or the DeviceFault of the stage.
+        `by` is the name of the person who gives the order, or the Owner if it is not a person. If the stage has lost
+        its zero, the guard refuses ENABLE, and accepts HOME of a person only; this HOME is passed on to the stage.
+        Raises MotionRefused with all causes of the refusal, or the DeviceFault of the stage.
         """
         owner = by if isinstance(by, Owner) else Owner.PERSON
         is_found = order is Order.HOME and owner is Owner.PERSON and self._stage.homed is False

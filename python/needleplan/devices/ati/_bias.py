@@ -30,7 +30,7 @@ _NOISE_OF_STEP = 0.886  # standard deviation of Gaussian noise / mean absolute d
 
 
 class BiasWatch:
-    """Looks for the step of all six axes to zero that a bias under load leaves in the stream."""
+    """Detects the bias of another client: with a load, all six axes step to zero within one sample."""
 
     def __init__(self) -> None:
         self._steps = [0.0] * _AXES
@@ -71,7 +71,7 @@ class BiasWatch:
 class Poll(Closing):
     """Calls `check` every `period_s` in a thread of its own until it is closed; the errors of devices are ignored.
 
-    `check` itself stores what it has found.
+    `check` itself stores its result.
     """
 
     def __init__(self, check: Callable[[], object], period_s: float) -> None:

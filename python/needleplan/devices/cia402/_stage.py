@@ -152,7 +152,7 @@ class CanopenStage(Stage):
             raise self._give_up(faults[0])
 
     def send_stop(self) -> None:
-        """Let another thread send a quick stop to both drives: the caller may hold the lock of the bus."""
+        """Let another thread send a quick stop to both drives, because the caller may hold the lock of the bus."""
         if self._closed:
             raise LinkClosed("the stage is closed")
         threading.Thread(target=self._quick_stop, name="stop", daemon=True).start()

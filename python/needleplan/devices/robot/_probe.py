@@ -44,7 +44,7 @@ ASTRAY_MM = 1.5  # distance beyond the stated range (mm) at which the test is gi
 
 
 class RuleBroken(DeviceFault):
-    """A robot does not keep a rule of the protocol; the message says what it did instead."""
+    """A robot does not keep a rule of the protocol; the message says what the robot did instead."""
 
 
 class RobotAstray(DeviceFault):
@@ -58,7 +58,7 @@ def require(holds: bool, found: str) -> None:
 
 
 def sealed(begin: bytes) -> bytes:
-    """Return a datagram with the right checksum, whatever it contains."""
+    """Return the bytes `begin` with their checksum appended, also for a meaningless datagram."""
     return begin + struct.pack("<I", zlib.crc32(begin))
 
 

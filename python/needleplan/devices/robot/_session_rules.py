@@ -44,7 +44,7 @@ def statuses(bench: RobotBench) -> None:
 
 
 def echo(bench: RobotBench) -> None:
-    """A status repeats the sending time of the last datagram, and says how long ago it arrived."""
+    """A status repeats the sending time of the last received datagram, and states the time since its arrival."""
     probe = bench.ready()
     alive = probe.command(K.ALIVE, number=0)
     probe.post(alive)

@@ -24,7 +24,7 @@ _MOST_PERMUTED = 7
 
 @dataclass(frozen=True)
 class Pairing:
-    """An order of the points of the plan, and whether one frame is mirrored, with its FRE (mm).
+    """An order of the points of the plan, with or without a mirrored frame, and its FRE (mm).
 
     `order[k]` is the index of the plan's point that belongs to point k of the tracker.
     """
@@ -110,7 +110,7 @@ def best_scale(first_mm: Array, second_mm: Array) -> tuple[float, float]:
 
 
 def quaternion_orders(quaternions: Array) -> dict[str, Array]:
-    """Return the z axes, shape (n, 3), that other readings of quaternions (n, 4) give, by their description."""
+    """Return the z axes, shape (n, 3), of quaternions, shape (n, 4), in other conventions, by description."""
     last, first = quaternions[:, [3, 0, 1, 2]], quaternions[:, [1, 2, 3, 0]]
     inverse = np.array([1.0, -1.0, -1.0, -1.0])
     return {

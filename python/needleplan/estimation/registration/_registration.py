@@ -183,7 +183,7 @@ class Registration:
         return both
 
     def accepted(self, reason: str) -> Registration:
-        """Return the registration as a person accepts it, who gives the reason; what speaks against it is kept.
+        """Return the registration with the status accepted, and the reason of a person; its refusals are kept.
 
         Raises DataError if the reason is blank.
         """

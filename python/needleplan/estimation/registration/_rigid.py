@@ -113,7 +113,7 @@ class RigidMotion:
 
 @dataclass(frozen=True)
 class Outlier:
-    """A pair of points that contradicts the other pairs: its index, its distance from the fit of the others, p-value.
+    """A pair of points that contradicts the other pairs: index, distance (mm) from the fit of the others, p-value.
 
     The p-value is the probability of such a distance for this pair alone.
     """

@@ -58,7 +58,7 @@ _SAME_SCALE = 0.01
 
 
 class RefusalReason(StrEnum):
-    """What speaks against a registration."""
+    """Reason against a registration."""
 
     UNDETERMINED = "undetermined"
     """The poses do not determine the offset of the coil."""

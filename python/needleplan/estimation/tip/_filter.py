@@ -256,7 +256,7 @@ class TipFilter:
     def ahead(self, length_mm: float) -> tuple[Array, Array]:
         """Return state and covariance that the tip will have after a further insertion without rotation.
 
-        The change of the curvature counts: with the length it fades as `change_mm` says. Shapes and errors as for
+        The change of the curvature per length is included; it decays over `change_mm`. Shapes and errors are those of
         `tip_state`.
         """
         if self._channel is None:
@@ -270,7 +270,7 @@ class TipFilter:
     def mean_curvature(self, length_mm: float) -> tuple[float, float]:
         """Return the expected mean curvature (1/mm) over the next length (mm) of path, and its standard deviation.
 
-        The plan counts with its curvature at the tip. Raises DataError before the first stage sample.
+        The planned curvature is that at the tip. Raises DataError before the first stage sample.
         """
         state, covariance = self.tip_state()
         weights = np.zeros(state.size)

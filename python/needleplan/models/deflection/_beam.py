@@ -143,7 +143,7 @@ class NeedleShaft:
 
 
 class AxialTerms(StrEnum):
-    """The first-order terms of the axial load in the beam equation.
+    """Choice of the first-order terms of the axial load in the beam equation.
 
     c = vf v is the friction per length. The equations below hold in the tissue; c and kf are zero outside.
     """

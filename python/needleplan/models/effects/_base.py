@@ -146,8 +146,8 @@ class Effect(ABC):
         """Return the sensitivity of the output to the amplitude at every point of the grid, shape (samples, len(grid)).
 
         For an output of the shape (axes, samples) the rows of the axes follow one another: (axes * samples, len(grid)).
-        Default: the difference quotient of two simulations, with and without the effect. The effect has the amplitude
-        of the grid point or, if the point has none, a thousandth of the typical amplitude.
+        Default: difference quotient of two simulations, with and without the effect. The amplitude is that of the grid
+        point, or else a thousandth of the typical amplitude.
         """
         plain = output_from_rest(model, motion)
         small = 1e-3 * self.parameters[SIZE].typical

@@ -39,7 +39,7 @@ class GuideFriction(PathTerm):
     size: float = parameter("N", 0, 20, "friction in the guide", typical=0.05)
 
     def shape(self, state: Array, motion: Motion, plain: Array) -> Array:  # noqa: ARG002
-        """Return the bristle, which gives the sign."""
+        """Return the bristle z, shape (...): the sign of the movement, after some presliding."""
         return np.asarray(state[0] * np.ones_like(np.asarray(motion.depth_mm, float)))
 
 

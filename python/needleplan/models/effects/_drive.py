@@ -50,7 +50,10 @@ _STICKS_S = 0.05
 
 @dataclass(frozen=True, kw_only=True)
 class WithDrive(SelfIntegratingModel):
-    """Abstract base class of a model whose needle is behind the motor by p; one number of memory follows its state."""
+    """Abstract base class of a model whose needle lags behind the motor by p (mm).
+
+    The last number of the state is the memory of the drive.
+    """
 
     base: Model
 
@@ -110,7 +113,7 @@ class WithDrive(SelfIntegratingModel):
 
 @dataclass(frozen=True, kw_only=True)
 class LooseDrive(WithDrive):
-    """A model behind a drive with play; the memory is p."""
+    """A model that is driven through play (backlash); the memory of the drive is the lag p (mm)."""
 
     size: float = parameter("mm", 0, 10, "play of the drive", typical=0.1)
 
@@ -139,7 +142,7 @@ class LooseDrive(WithDrive):
 
 @dataclass(frozen=True, kw_only=True)
 class StickingDrive(WithDrive):
-    """A model behind a drive that sticks after a rest; the memory is s."""
+    """A model behind a drive that sticks after a rest; its memory is the travel s (mm) since the rest or reversal."""
 
     size: float = parameter("mm", 0, 10, "largest distance by which the needle falls behind", typical=0.1)
 

@@ -98,9 +98,9 @@ class Inertia(Term):
         return np.asarray((np.asarray(motion.velocity_mm_s, float) - state) / _DIFFERENCE_S)
 
     def states(self, motion: Motion, start: Array) -> Array:
-        """Return the state whose output is the acceleration of the motion (mm/s), shape (1, samples).
+        """Return the state (mm/s), shape (1, samples), for which `shape` is the acceleration of the motion.
 
-        The future is known, so that nothing lags. The first state is `start`.
+        The whole motion is known, so the acceleration has no lag. The first state is `start`.
         """
         states: Array = (motion.velocity_mm_s - _DIFFERENCE_S * motion.acceleration_mm_s2)[None]
         states[:, 0] = start

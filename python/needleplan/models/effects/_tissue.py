@@ -24,7 +24,7 @@ _AT_ONCE = 16
 
 @dataclass(frozen=True, kw_only=True)
 class SlowTurning(SelfIntegratingModel):
-    """A model whose friction reverses over a travel that is longer by `size` (mm), with the state of the base model."""
+    """The base model with friction that reverses over a travel that is longer by `size` (mm). Its state is the same."""
 
     base: ShaftAndTip
     size: float = parameter("mm", 0, 20, "additional travel over which friction reverses", typical=0.1)

@@ -153,7 +153,7 @@ def _grown(depth_mm: bytes, onset_mm: float) -> Array:
 
 @dataclass(frozen=True, kw_only=True)
 class BlendedReversal(ShaftAndTip):
-    """The model with another law of reversal: its bristle deviates by a blend of bristles of other lengths."""
+    """A `ShaftAndTip` with another law of reversal: the bristle is blended with bristles of other lengths."""
 
     name: ClassVar[str] = "blended_reversal"
     shares: tuple[float, ...] = ()

@@ -34,7 +34,7 @@ _FARTHEST_MM_S = 1e5
 
 
 class FrictionLaw(Protocol):
-    """A friction model with one bristle that computes with Python floats, at a sample of a motion.
+    """Interface of a friction law with one bristle, evaluated with Python floats at a sample of a motion.
 
     `w_mm_s` is the velocity of the needle relative to the tissue. `bending` is the state of the bristle, `bending_rate`
     the rate of change of this state per second.
