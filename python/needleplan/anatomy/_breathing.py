@@ -97,7 +97,7 @@ class Breathing(ConfigTable, key="breathing", error=ScenarioError, between=(_a_s
             1.
         """
         away = residual_mm / self.full_mm
-        return next((each for each in (self.level + away, self.level - away) if 0 <= each <= 1), None)
+        return next((level for level in (self.level + away, self.level - away) if 0 <= level <= 1), None)
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,13 +149,13 @@ class TissueMotion:
             part = replace(volume, labels=volume.labels[box], affine=affine)
         labels = part.labels
         share = self._shares(part)
-        found = np.empty_like(labels)
+        moved = np.empty_like(labels)
         for i in range(len(labels)):  # slice by slice, for the memory
             index = np.stack(np.meshgrid([i], *map(np.arange, labels.shape[1:]), indexing="ij"), -1)[0]
             source = part.voxels(part.world(index) - level * share[i][..., None] * self._directions(part, index))
             at = np.clip(np.floor(source + 0.5).astype(np.int64), 0, np.array(labels.shape) - 1)
-            found[i] = labels[tuple(np.moveaxis(at, -1, 0))]
-        return replace(part, labels=found), [self._place(part, share, level, center) for center in centers_mm]
+            moved[i] = labels[tuple(np.moveaxis(at, -1, 0))]
+        return replace(part, labels=moved), [self._place(part, share, level, center) for center in centers_mm]
 
     def _shares(self, part: LabelVolume) -> NDArray[np.float32]:
         """Return the displacement of voxels as a share of the one without bones, equation (5)."""
@@ -175,7 +175,7 @@ class TissueMotion:
             return self.breathing.full_mm * np.array(self.breathing.toward)
         values, affine = self.field
         places = np.moveaxis((part.world(index) - affine[:3, 3]) @ np.linalg.inv(affine[:3, :3]).T, -1, 0)
-        sampled = [ndimage.map_coordinates(each, places, np.float64, order=1, mode="nearest") for each in values]
+        sampled = [ndimage.map_coordinates(part, places, np.float64, order=1, mode="nearest") for part in values]
         return self.breathing.full_mm * np.stack(sampled, -1)
 
     def _place(

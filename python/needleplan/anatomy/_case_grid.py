@@ -48,7 +48,7 @@ class CommonGrid:
         start, end = np.maximum(start - 1, first), np.minimum(end + 1, last)
         affine = finest.affine.copy()
         affine[:3, 3] += affine[:3, :3] @ start
-        ni, nj, nk = (int(each) for each in end - start)
+        ni, nj, nk = (int(number) for number in end - start)
         counted_bytes((ni, nj, nk), 2, "voxels of the case", finest.source)
         return cls(affine, (ni, nj, nk))
 

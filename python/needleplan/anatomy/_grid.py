@@ -45,13 +45,12 @@ class AnatomyGrid:
     - `voxels`: 0 free, 1 target, 2 obstacle (grown by margin and needle), 3 outside of volume or body, in r^3 voxels
       for each grid point, shape (r nx, r ny, r nz). The centre of voxel (r i, r j, r k) is the grid point (i, j, k).
     - `possible`: codes of the cells of the reachability proof (`possible_cells`).
-    - `clearance_mm`: distance to the obstacles without margin, at most 30.
-    - `entry`: 0 without an entry at the grid point; else the number of the voxel in which the needle enters, in the
-      order [x][y][z] of the voxels of the grid point, from 1, the grid point itself.
-    - `tissues`: index of the radius in `radii_mm`; index 0 is the radius of the needle.
+    - `clearance_mm`: distance to the obstacles without margin, at most 30, shape (nx, ny, nz).
+    - `entry`: 0 at grid points without an entry, else the number of the voxel in which the needle enters: 1 is the
+      grid point itself, and the other voxels of the grid point follow in the order [x][y][z]; shape (nx, ny, nz).
+    - `tissues`: index of the radius in `radii_mm`, shape (nx, ny, nz); index 0 is the radius of the needle.
     - `target`: the target as the user gave it, in which executions end.
-    - `loss`: differences between lattice and file; None for a grid from a table file. `clearance_mm`, `entry` and
-      `tissues` have the shape (nx, ny, nz).
+    - `loss`: differences between lattice and file; None for a grid from a table file.
     """
 
     frame: SpaceFrame
@@ -233,10 +232,10 @@ def _growths(anatomy: Anatomy) -> Growths:
 
 def _tissues(anatomy: Anatomy, frame: SpaceFrame) -> tuple[NDArray[np.uint8], tuple[float, ...]]:
     curvature = anatomy.regions.curvature
-    radii = (anatomy.file.needle.curvature_radius_mm, *(each.radius_mm for each in curvature))
+    radii = (anatomy.file.needle.curvature_radius_mm, *(tissue.radius_mm for tissue in curvature))
     numbers = np.zeros(65536, np.uint8)
-    for place, each in enumerate(curvature, start=1):
-        numbers[anatomy.numbers((each.label,))] = place
+    for place, tissue in enumerate(curvature, start=1):
+        numbers[anatomy.numbers((tissue.label,))] = place
     tissues = nearest_labels(anatomy.volume, numbers[anatomy.volume.labels], frame, 0)
     return tissues, radii
 
@@ -246,7 +245,7 @@ def _mistakes(anatomy: Anatomy, grids: list[AnatomyGrid]) -> list[Mistake]:
     from scipy import ndimage
 
     regions, frame, entry = anatomy.regions, grids[0].frame, grids[0].entry
-    found = []
+    mistakes = []
     smaller = [f"a margin below {regions.largest_margin_mm:g} mm"] if regions.largest_margin_mm > 0 else []
     hint = f"take {' or '.join([*smaller, f'a spacing below {frame.spacing_mm:g} mm'])}"
     aims = list(zip(regions.aim_keys, (aim.region for aim in regions.aims), grids, strict=True))
@@ -254,16 +253,16 @@ def _mistakes(anatomy: Anatomy, grids: list[AnatomyGrid]) -> list[Mistake]:
     for key, region, there in (*places, ("entry", regions.entry_text, entry)):
         if not there.any():
             rule = f"no voxel of the lattice lies in it, apart from obstacles, their margin and outside: {hint}"
-            found.append(Mistake(f"anatomy.{key}", str(region), rule))
-    if found:
-        return found
+            mistakes.append(Mistake(f"anatomy.{key}", str(region), rule))
+    if mistakes:
+        return mistakes
     bodies, _ = ndimage.label(grids[0].codes != OUTSIDE, structure=np.ones((3, 3, 3)))
     for key, region, grid in aims:
         if not {*np.unique(bodies[entry > 0])} & {*np.unique(bodies[grid.codes == TARGET])}:
             if regions.targets:
                 rule = "lies in another body than anatomy.entry: labels in anatomy.outside separate them"
-                found.append(Mistake(f"anatomy.{key}", str(region), rule))
+                mistakes.append(Mistake(f"anatomy.{key}", str(region), rule))
             else:
                 rule = "lies in another body than anatomy.target: labels in anatomy.outside separate them"
-                found.append(Mistake("anatomy.entry", regions.entry_text, rule))
-    return found
+                mistakes.append(Mistake("anatomy.entry", regions.entry_text, rule))
+    return mistakes

@@ -63,8 +63,8 @@ class SpaceLimits(ConfigTable, key="limits", error=ScenarioError, between=(_both
             yield "limits.low_mm", np.asarray((points_mm >= self.low_mm).all(-1))
         if self.high_mm is not None:
             yield "limits.high_mm", np.asarray((points_mm <= self.high_mm).all(-1))
-        for number, each in enumerate(self.half_spaces, start=1):
-            yield f"limits.half_spaces {number}", points_mm @ np.array(each.normal) <= each.at_most_mm
+        for number, half_space in enumerate(self.half_spaces, start=1):
+            yield f"limits.half_spaces {number}", points_mm @ np.array(half_space.normal) <= half_space.at_most_mm
 
     def permits(self, directions: NDArray[np.float64]) -> NDArray[np.bool_]:
         """Return which unit vectors in RAS, shape (n, 3), lie in the cone about `toward`; all without one."""

@@ -48,7 +48,7 @@ class JointSystem(ABC):
         names a parameter that the model does not have.
         """
         known = model.parameters()
-        names = tuple(name for name, what in known.items() if what.free) if free is None else tuple(free)
+        names = tuple(name for name, parameter in known.items() if parameter.free) if free is None else tuple(free)
         unknown = [Mistake(name, "", f"must be one of {', '.join(known)}") for name in names if name not in known]
         if unknown:
             raise ModelError(unknown, model.name)

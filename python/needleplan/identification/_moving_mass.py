@@ -88,9 +88,9 @@ class FrictionOnSensor(SelfIntegratingModel):
 
     def parameters(self) -> dict[str, Parameter]:  # type: ignore[override]
         """Return the parameters of the friction, `mass_kg` and `offset_n`."""
-        own = parameters_of(self)
-        own["offset_n"] = replace(own["offset_n"], typical=_SMALL * self.base.normal_force_n)
-        return {**self.base.parameters(), **own}
+        known = parameters_of(self)
+        known["offset_n"] = replace(known["offset_n"], typical=_SMALL * self.base.normal_force_n)
+        return {**self.base.parameters(), **known}
 
     def values(self) -> dict[str, float]:
         """Return the values of the friction, `mass_kg` and `offset_n`."""
@@ -145,7 +145,7 @@ def _velocity(record: Record, window_s: float) -> tuple[Array, float]:
     time, impulse = record["time_s"], np.zeros(len(record))
     impulse[len(record) // 2] = 1.0
     velocity, response = (
-        velocity_without_delay(time, each, window_s).velocity_mm_s for each in (record["depth_mm"], impulse)
+        velocity_without_delay(time, values, window_s).velocity_mm_s for values in (record["depth_mm"], impulse)
     )
     return velocity, float(np.linalg.norm(np.gradient(response, time)))
 
@@ -175,13 +175,13 @@ def moving_mass(found: Fit, train: Sequence[Record], refit: Callable[[Sequence[R
 
     `refit` repeats the fit with other records, which have a velocity.
     """
-    each = found.estimates["mass_kg"]
+    mass = found.estimates["mass_kg"]
     random = np.random.default_rng(0)
     again = refit([with_velocity(_noisier(record, random)) for record in train])
-    change = again.estimates["mass_kg"].value - each.value
-    low, high = each.low - max(change, 0.0), each.high - min(change, 0.0)
-    noisy = abs(change) > _NOISY * abs(each.value)
-    estimate = replace(each, low=low, high=high, identified=low > 0 and not noisy)
+    change = again.estimates["mass_kg"].value - mass.value
+    low, high = mass.low - max(change, 0.0), mass.high - min(change, 0.0)
+    noisy = abs(change) > _NOISY * abs(mass.value)
+    estimate = replace(mass, low=low, high=high, identified=low > 0 and not noisy)
     if estimate.identified:
         return MovingMass(estimate, change, ())
     largest = max(float(np.max(np.abs(inertia_n(with_velocity(record).motion())))) for record in train)
@@ -194,11 +194,11 @@ def moving_mass(found: Fit, train: Sequence[Record], refit: Callable[[Sequence[R
     )
     if low > 0:
         remark += (
-            f"Noise of the measured motion changes the mass by {100 * abs(change / each.value):.0f} %: record the "
+            f"Noise of the measured motion changes the mass by {100 * abs(change / mass.value):.0f} %: record the "
             "velocity, or the depth with less noise"
         )
     else:
-        factor = max(2.0, each.sd / (_WANTED * _USUAL_KG))
+        factor = max(2.0, mass.sd / (_WANTED * _USUAL_KG))
         remark += (
             f"A mass of {_USUAL_KG:g} kg is found within {100 * _WANTED:.0f} % with about {factor:.2g} times the "
             "acceleration: move faster, or with shorter reversals"
@@ -211,8 +211,8 @@ def stored(found: Fit) -> Model:
     assert isinstance(found.model, FrictionOnSensor)
     names = {"mass_kg": "inertia", "offset_n": "bias"}
     effects = [
-        AddedEffect(names[name], {"size": each.value}, {"size": each})
-        for name, each in found.estimates.items()
+        AddedEffect(names[name], {"size": estimate.value}, {"size": estimate})
+        for name, estimate in found.estimates.items()
         if name in names
     ]
     return with_effect(found.model.base, effects) if effects else found.model.base

@@ -54,8 +54,8 @@ def typical_scatter(series: Sequence[Array], scatter: float) -> Array:
 
     `scatter` is the assumed s0, which counts as much as `_ASSUMED_COUNT` insertions.
     """
-    squares = sum(np.sum((each - each.mean(axis=0)) ** 2, axis=0) for each in series)
-    count = _ASSUMED_COUNT + sum(len(each) - 1 for each in series)
+    squares = sum(np.sum((one_series - one_series.mean(axis=0)) ** 2, axis=0) for one_series in series)
+    count = _ASSUMED_COUNT + sum(len(one_series) - 1 for one_series in series)
     return np.asarray(np.sqrt((_ASSUMED_COUNT * scatter**2 + squares) / count))
 
 
@@ -183,11 +183,11 @@ def next_insertion(
     s0 = np.broadcast_to(np.asarray(scatter, float), x.shape[1:])
     if not (np.isfinite(s0) & (s0 > 0)).all():
         raise DataError(Mistake("scatter", f"{scatter}", "must be above 0"))
-    planes = [_Plane(*each, level_sd, ordered) for each in zip(x.T, s0, strict=True)]
+    planes = [_Plane(*column, level_sd, ordered) for column in zip(x.T, s0, strict=True)]
     if len(planes) > 1:  # equation (8)
         ratios = np.array([plane.scatter for plane in planes]) / s0
         shared = (np.sum(ratios**2) - ratios**2) / (len(planes) - 1)
-        planes = [_Plane(*each, level_sd, ordered) for each in zip(x.T, s0 * np.sqrt(shared), strict=True)]
+        planes = [_Plane(*column, level_sd, ordered) for column in zip(x.T, s0 * np.sqrt(shared), strict=True)]
     drift = max(1.0 - float(plane.chances[0]) for plane in planes)
     if len(x) <= _CONFORMAL:
         ends = np.array([plane.interval(_LEVEL ** (1 / len(planes))) for plane in planes])
@@ -267,7 +267,7 @@ def new_series(series: Sequence[Array], within: InsertionForecast, scatter: Arra
     >>> bool((other.high - other.low > 3 * (tip.high - tip.low)).all())
     True
     """
-    between = next_insertion(np.array([np.mean(each, axis=0) for each in series]), scatter, ordered=False)
+    between = next_insertion(np.array([np.mean(one_series, axis=0) for one_series in series]), scatter, ordered=False)
     low = between.values - np.hypot(between.values - between.low, within.values - within.low)
     high = between.values + np.hypot(between.high - between.values, within.high - within.values)
     return InsertionForecast(between.values, low, high, between.drift, between.checked)

@@ -49,7 +49,7 @@ class ErrorDraws(NamedTuple):
     @classmethod
     def of(cls, runs: int, seed: int) -> ErrorDraws:
         """Draw the numbers of `runs` executions."""
-        entry, registration, curvature = (np.random.default_rng([seed, each]) for each in range(3))
+        entry, registration, curvature = (np.random.default_rng([seed, stream]) for stream in range(3))
         return cls(
             entry.standard_normal((runs, 4)), registration.standard_normal((runs, 6)), curvature.standard_normal(runs)
         )

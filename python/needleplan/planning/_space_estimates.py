@@ -51,7 +51,7 @@ class Estimates:
 
     def rows(self) -> NDArray[np.float64]:
         """Return the rows for a file, shape (n, 10)."""
-        rows = [(*key, each.value, *(each.interval or (0.0, 1.0))) for key, each in self.known.items()]
+        rows = [(*key, success.value, *(success.interval or (0.0, 1.0))) for key, success in self.known.items()]
         return np.array(rows, np.float64).reshape(-1, len(ESTIMATE_COLUMNS))
 
     def find(self, pose: NDArray[np.float64], runs: int) -> Success | None:

@@ -191,23 +191,23 @@ class GuardedStage(GuardCore, Stage):
         """Begin to move to a depth at a speed. Raises MotionRefused if a check fails, or the stage's DeviceFault."""
         with self._held() as now_ns:
             self._validate(now_ns)
-            limits, what = self._limits, f"insert to {depth_mm:g} mm at {velocity_mm_s:g} mm/s"
+            limits, request = self._limits, f"insert to {depth_mm:g} mm at {velocity_mm_s:g} mm/s"
             here = self._monitor.inputs.stage_known(limits, now_ns)
-            self._require_none(what, against_insertion(limits, here, depth_mm, velocity_mm_s), now_ns)
+            self._require_none(request, against_insertion(limits, here, depth_mm, velocity_mm_s), now_ns)
             self._monitor.motion = self._monitor.motion.inserts(depth_mm, velocity_mm_s, now_ns)
             values = {"depth_mm": depth_mm, "velocity_mm_s": velocity_mm_s}
-            command = self._command(SafetyEventName.COMMAND, values, what, now_ns)
+            command = self._command(SafetyEventName.COMMAND, values, request, now_ns)
         self._send(command, self._stage.insert)
 
     def rotate(self, roll_rad: float, velocity_rad_s: float) -> None:
         """Begin to rotate the base to a roll. Raises MotionRefused if a check fails, or the stage's DeviceFault."""
         with self._held() as now_ns:
             self._validate(now_ns)
-            what = f"rotate to {roll_rad:g} rad at {velocity_rad_s:g} rad/s"
-            self._require_none(what, against_rotation(self._limits, roll_rad, velocity_rad_s), now_ns)
+            request = f"rotate to {roll_rad:g} rad at {velocity_rad_s:g} rad/s"
+            self._require_none(request, against_rotation(self._limits, roll_rad, velocity_rad_s), now_ns)
             self._monitor.motion = self._monitor.motion.rotates(roll_rad, velocity_rad_s, now_ns)
             values = {"roll_rad": roll_rad, "velocity_rad_s": velocity_rad_s}
-            command = self._command(SafetyEventName.COMMAND, values, what, now_ns)
+            command = self._command(SafetyEventName.COMMAND, values, request, now_ns)
         self._send(command, self._stage.rotate)
 
     def retract(self, depth_mm: float, velocity_mm_s: float, by: str = "") -> None:
@@ -216,20 +216,20 @@ class GuardedStage(GuardCore, Stage):
         Raises MotionRefused if the goal is not outward or a value is not permitted, or the DeviceFault of the stage.
         """
         with self._held() as now_ns:
-            limits, what = self._limits, f"retract to {depth_mm:g} mm at {velocity_mm_s:g} mm/s"
+            limits, request = self._limits, f"retract to {depth_mm:g} mm at {velocity_mm_s:g} mm/s"
             here = self._monitor.inputs.stage_known(limits, now_ns)
             against = against_retraction(limits, here, depth_mm, velocity_mm_s)
             if against:
-                self._refuse(what, against, now_ns, by)
+                self._refuse(request, against, now_ns, by)
             self._obey_waiting(now_ns)  # a stop that was ordered before must not stop the retraction
             transition = advance(self._state, MotionOrder.RETRACT.by(Owner.PERSON), now_ns)
             # From here on, no other cause stops the needle, and no earlier stop is repeated, unless the stage refuses.
-            self._follow(transition, now_ns, what)
+            self._follow(transition, now_ns, request)
             self._monitor.stop, self._has_moved = None, True
             self._monitor.motion = self._monitor.motion.retracts(depth_mm, velocity_mm_s, now_ns)
             self._supervision.post(limits, self._state, self._monitor, by_person=True)
             values = {"depth_mm": depth_mm, "velocity_mm_s": velocity_mm_s}
-            command = self._command(SafetyEventName.RETRACTION, values, what, now_ns, by or "a person")
+            command = self._command(SafetyEventName.RETRACTION, values, request, now_ns, by or "a person")
         try:
             self._send(command, self._stage.insert)
         except DeviceFault:

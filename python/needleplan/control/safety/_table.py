@@ -65,7 +65,7 @@ def transition_table() -> str:
 
 
 def _rows(order: Order | MotionOrder) -> Iterator[list[str]]:
-    by = {owner: [_cell(each, order.by(owner)) for each in _STATES.values()] for owner in (Owner.PERSON, Owner.LOOP)}
+    by = {owner: [_cell(state, order.by(owner)) for state in _STATES.values()] for owner in (Owner.PERSON, Owner.LOOP)}
     if by[Owner.PERSON] == by[Owner.LOOP]:
         yield [f"{order}", *by[Owner.PERSON]]
         return

@@ -49,12 +49,12 @@ class BiasWatch:
         if last is None:
             return False
         noise = [max(_NOISE_OF_STEP * step, floor) for step, floor in zip(self._steps, _FLOORS, strict=True)]
-        zero = all(abs(value) <= _ZERO * each for value, each in zip(values, noise, strict=True))
+        zero = all(abs(value) <= _ZERO * sd for value, sd in zip(values, noise, strict=True))
         loaded = self._quiet and any(
-            abs(value) > max(_LOADED * each, load) for value, each, load in zip(last, noise, _LOADS, strict=True)
+            abs(value) > max(_LOADED * sd, load) for value, sd, load in zip(last, noise, _LOADS, strict=True)
         )
         self._quiet = all(
-            abs(value - before) <= _ZERO * each for value, before, each in zip(values, last, noise, strict=True)
+            abs(value - before) <= _ZERO * sd for value, before, sd in zip(values, last, noise, strict=True)
         )
         if zero and (self._zeros or loaded):
             self._zeros += 1

@@ -182,9 +182,10 @@ class RobotProbe:
         """Send a command. Raises RuleBroken if its result is not one of `results`, by default ACCEPTED."""
         results = results or (Result.ACCEPTED,)
         result = self.ask(message)
-        found = "gets no answer" if result is None else f"is answered with {result.name}"
+        outcome = "gets no answer" if result is None else f"is answered with {result.name}"
         require(
-            result in results, f"{message.kind.name} {found} instead of {' or '.join(each.name for each in results)}"
+            result in results,
+            f"{message.kind.name} {outcome} instead of {' or '.join(expected.name for expected in results)}",
         )
 
     def enable(self) -> RobotProbe:
@@ -244,7 +245,7 @@ class RobotProbe:
     def stays(self, after: str) -> None:
         """Raise RuleBroken if the needle moves."""
         begin_mm = self.last.depth_mm
-        moved_mm = max((abs(each.depth_mm - begin_mm) for each in self.listen(0.15)), default=math.inf)
+        moved_mm = max((abs(status.depth_mm - begin_mm) for status in self.listen(0.15)), default=math.inf)
         require(moved_mm <= 0.05, f"moves by {moved_mm:.2f} mm after {after}")
 
     def depart(self, seconds: float = 0.1) -> RobotProbe:

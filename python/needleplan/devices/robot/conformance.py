@@ -60,7 +60,7 @@ def try_cases(bench: RobotBench, only: Collection[str] = ()) -> Iterator[Conform
     for name, case in CASES.items():
         if only and name not in only:
             continue
-        rule, found = " ".join((case.__doc__ or "").split()), ""
+        rule, deviation = " ".join((case.__doc__ or "").split()), ""
         if gave_up or (name == "key" and bench.key is None):
             yield ConformanceCase(name, rule, ConformanceVerdict.OMITTED, gave_up or "the robot has no key")
             continue
@@ -68,12 +68,14 @@ def try_cases(bench: RobotBench, only: Collection[str] = ()) -> Iterator[Conform
             with bench.closing():
                 case(bench)
         except RobotAstray as astray:
-            found = gave_up = str(astray)
+            deviation = gave_up = str(astray)
         except DeviceFault as broken:
-            found = str(broken)
+            deviation = str(broken)
             with bench.closing():
                 bench.probe().is_released()
-        yield ConformanceCase(name, rule, ConformanceVerdict.BROKEN if found else ConformanceVerdict.HOLDS, found)
+        yield ConformanceCase(
+            name, rule, ConformanceVerdict.BROKEN if deviation else ConformanceVerdict.HOLDS, deviation
+        )
     bench.rests = False
     with bench.closing(), contextlib.suppress(DeviceFault):
         probe = bench.ready()

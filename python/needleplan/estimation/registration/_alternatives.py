@@ -74,17 +74,17 @@ def pairings(first_mm: Array, second_mm: Array) -> list[Pairing]:
     singular = np.linalg.svd(cross, compute_uv=False)
     sign = np.where(np.linalg.det(cross) < 0, -1.0, 1.0)
     whole = float((first**2).sum() + (second**2).sum())
-    found = []
+    choices = []
     for mirrored in (False, True):
         last = singular[:, 2] * (-sign if mirrored else sign)
         squares = whole - 2 * (singular[:, 0] + singular[:, 1] + last)
         fre = np.sqrt(np.maximum(squares, 0.0) / len(first))
-        found += [
-            Pairing(tuple(order), mirrored, each)
-            for order, each in zip(orders.tolist(), fre.tolist(), strict=True)
+        choices += [
+            Pairing(tuple(order), mirrored, fre_mm)
+            for order, fre_mm in zip(orders.tolist(), fre.tolist(), strict=True)
             if mirrored or order != list(range(len(first)))
         ]
-    return sorted(found, key=lambda pairing: pairing.fre_mm)
+    return sorted(choices, key=lambda pairing: pairing.fre_mm)
 
 
 def _orders(count: int) -> Iterator[tuple[int, ...]]:

@@ -177,7 +177,7 @@ class TipFilter:
             if left_at is not None and left_at < self._at:
                 # The path beyond is new, and no pose has measured it.
                 self._at, self._state, self._covariance = self._path_at(left_at)
-                del self._past[bisect_right(self._past, self._at, key=lambda each: each[0]) :]
+                del self._past[bisect_right(self._past, self._at, key=lambda past: past[0]) :]
 
     def update(self, sample: PoseSample) -> PoseUse:
         """Take a pose, and return how the filter used it."""
@@ -362,7 +362,7 @@ class TipFilter:
         """
         at, state, covariance = self._at, self._state, self._covariance
         if length_mm < at:
-            number = max(bisect_right(self._past, length_mm, key=lambda each: each[0]) - 1, 0)
+            number = max(bisect_right(self._past, length_mm, key=lambda past: past[0]) - 1, 0)
             at, state, covariance = self._past[number]
         assert self._channel is not None
         return self._predictor.onwards(self._channel, at, state, covariance, length_mm)

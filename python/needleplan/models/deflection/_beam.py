@@ -278,7 +278,7 @@ class Beam:
         finite.
         """
         depth, force, velocity, side, moment = np.broadcast_arrays(
-            *(np.asarray(each, float) for each in (depth_mm, cutting_force_n, velocity_mm_s, bevel, tip_moment_n_mm))
+            *(np.asarray(array, float) for array in (depth_mm, cutting_force_n, velocity_mm_s, bevel, tip_moment_n_mm))
         )
         _require(needle, depth, force, velocity)
         friction = tissue.friction_n_s_mm2 * velocity

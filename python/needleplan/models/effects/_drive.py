@@ -214,7 +214,7 @@ def _played(
                 nodes.append((at, 0.0, behind))
                 nodes += [(at + _JUMP_S, speed, behind), (until, b, behind)]
         index.append(len(nodes) - 1)
-    times, speeds, places = (np.array(each) for each in zip(*nodes, strict=True))
+    times, speeds, places = (np.array(array) for array in zip(*nodes, strict=True))
     indices = np.array(index, np.intp)
     for each in (times, speeds, places, indices):
         each.flags.writeable = False
@@ -228,10 +228,10 @@ def _travels(velocity_mm_s: bytes, time_s: bytes, start: float) -> Array:
     steps = (np.abs(velocity[1:] + velocity[:-1]) / 2 * np.diff(time)).tolist()
     turns = (velocity[1:] * velocity[:-1] < 0).tolist()
     rests = (np.abs(velocity[1:]) < _REST_MM_S).tolist()
-    travel, found = start, [start]
+    travel, reached = start, [start]
     for step, turn, rest in zip(steps, turns, rests, strict=True):
         travel = 0.0 if rest else step if turn else travel + step
-        found.append(travel)
-    travels = np.array(found)
+        reached.append(travel)
+    travels = np.array(reached)
     travels.flags.writeable = False
     return travels

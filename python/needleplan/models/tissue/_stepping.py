@@ -53,7 +53,7 @@ def step_through(law: FrictionLaw, k: float, c: float, m: float, motion: Motion,
     `start`, shape (3,), is the state at the first sample. All samples after the state has grown without bound are NaN.
     """
     times, needle = motion.time_s.tolist(), motion.velocity_mm_s.tolist()
-    bent, moved, speed = (float(each) for each in start)
+    bent, moved, speed = (float(number) for number in start)
     steps = stepping(law, k, c, m, needle[0], (bent, moved, speed))
     next(steps)
     rows = [(bent, moved, speed)]
