@@ -65,7 +65,7 @@ class Breathing(ConfigTable, key="breathing", error=ScenarioError, between=(_a_s
     level: float = ruled(Number(at_least=0, at_most=1), 0.0)
 
     def level_at(self, time_s: ArrayLike) -> NDArray[np.float64]:
-        """Return the level of inspiration, equation (6).
+        """Return the level of inspiration, equation (5).
 
         Parameters
         ----------
@@ -138,7 +138,7 @@ class TissueMotion:
     ) -> tuple[LabelVolume, list[tuple[float, float, float]]]:
         """Move a volume and points (RAS mm) from the end of an exhalation to a level of inspiration.
 
-        Equation (4): a voxel has the label of the voxel in which its tissue was. The volume is cropped to the
+        Equation (3): a voxel has the label of the voxel in which its tissue was. The volume is cropped to the
         surroundings of the points `near_mm`, shape (n, 3).
         """
         part = volume
@@ -158,7 +158,7 @@ class TissueMotion:
         return replace(part, labels=moved), [self._place(part, share, level, center) for center in centers_mm]
 
     def _shares(self, part: LabelVolume) -> NDArray[np.float32]:
-        """Return the displacement of voxels as a share of the one without bones, equation (5)."""
+        """Return the displacement of voxels as a share of the one without bones, equation (4)."""
         from scipy import ndimage
 
         still = np.isin(part.labels, self.labels)
