@@ -142,7 +142,7 @@ class PlanGuidance(ABC):
 
     @abstractmethod
     def mismatch(self, needle: NeedleState, pose: Pose | SpacePose) -> tuple[float, float, float]:
-        """Return the expected curvature up to the target, its standard deviation, and the planned curvature (1/mm)."""
+        """Return the expected mean curvature up to the target, its standard deviation, and the planned one (1/mm)."""
 
     @abstractmethod
     def rescaled(self, factor: float, pose: Pose | SpacePose) -> Scenario | SpaceTask:

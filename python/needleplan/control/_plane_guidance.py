@@ -123,7 +123,7 @@ class PlaneGuidance(PlanGuidance):
         return tip.z_mm
 
     def mismatch(self, needle: NeedleState, pose: Pose | SpacePose) -> tuple[float, float, float]:
-        """Return expected curvature (1/mm) on the way to the target, its standard deviation, and the planned one."""
+        """Return the expected mean curvature up to the target, its standard deviation, and the planned one (1/mm)."""
         planned = 1 / self.scene.radius_mm(pose.x_mm, pose.y_mm)
         return *needle.curvature_ahead(self.scene.target_distance_mm(pose.x_mm, pose.y_mm)), planned
 

@@ -60,7 +60,7 @@ _KERNELS: tuple[tuple[float, Callable[[Array], Array]], ...] = (
 
 @dataclass(frozen=True)
 class Marginal:
-    """Distribution of p parameters with the noise integrated out: a mixture of m Student distributions.
+    """Distribution of p parameters after integration over the noise models: a mixture of m Student distributions.
 
     - `weights`: weights of the distributions, shape (m,); the sum is one
     - `centres`, `covariances`: centres, shape (m, p), and scale matrices, shape (m, p, p), of the distributions

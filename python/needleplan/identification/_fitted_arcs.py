@@ -75,7 +75,7 @@ class Curvature:
 
     @property
     def interval_sd_per_mm(self) -> float:
-        """Standard deviation (1/mm) whose normal interval is as wide as the 95 % interval.
+        """Standard deviation (1/mm) of the normal distribution with a 95 % interval of the same width.
 
         `sd_per_mm` itself is dominated by the tails of few candidates with long correlation lengths.
         """

@@ -117,7 +117,7 @@ class ForceLibrary:
     def matches(
         self, *, needle: str | None = None, tissue: str | None = None, velocity_mm_s: float | None = None
     ) -> tuple[Match, ...]:
-        """Return the combinations that `search` finds as matches.
+        """Return the combinations that fit the names, with the ratio of their speed to a given speed.
 
         If a speed is given, only the combination with the nearest speed is returned for each pair of needle and tissue.
         Raises ModelError if the speed is not positive.

@@ -29,7 +29,7 @@ _EXECUTIONS = 40
 
 
 def draw_entries(entries: EntryMap, best: int | None = None) -> Figure:
-    """Draw success over the entry region, slices through the target with the best path, and a 3D view.
+    """Draw the success over the entry region, slices through the target with the best path, and a 3D view.
 
     The view has 40 executions with noise from the best entry. If no entry reaches the target, the figure says so, and
     has no path and no executions.

@@ -82,7 +82,7 @@ class AugmentedModel(SelfIntegratingModel):
 
     @cached_property
     def whole(self) -> Model:
-        """The base model with all effects applied whose amplitude is not 0."""
+        """The base model with all effects of an amplitude other than 0."""
         model = self.base
         for effect in sorted(self.effects, key=lambda added: effect_named(added.name).is_lag):
             model = effect_named(effect.name).apply(model, effect.values) if effect.values[SIZE] else model

@@ -143,7 +143,7 @@ class Effect(ABC):
         return []
 
     def columns(self, model: Model, motion: Motion, grid: Sequence[Mapping[str, float]]) -> Array:
-        """Return the sensitivity of the output to the amplitude at every point of the grid, shape (samples, len(grid)).
+        """Return the derivative of the output by the amplitude at each point of the grid, shape (samples, len(grid)).
 
         For an output of the shape (axes, samples) the rows of the axes follow one another: (axes * samples, len(grid)).
         Default: difference quotient of two simulations, with and without the effect. The amplitude is that of the grid

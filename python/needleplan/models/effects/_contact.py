@@ -76,8 +76,8 @@ class EntrySpring(Memoryless):
 class TrackAgeing(PathTerm):
     """Friction that falls with the number of insertions along the same track.
 
-    The internal state also contains how often the tip has passed every cell of the track inwards. Of n passes, n - 1
-    are earlier insertions.
+    The internal state also contains how often the tip has passed every cell of the track inwards. The last of n passes
+    is the present insertion, so n - 1 insertions were earlier.
     """
 
     name: ClassVar[str] = "track_ageing"
