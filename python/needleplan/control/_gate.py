@@ -21,7 +21,7 @@ _SAMPLES = 2000
 
 @dataclass(frozen=True)
 class BreathGate:
-    """When breathing leaves the tissue where the plan has it.
+    """Times at which breathing leaves the tissue near its place in the plan.
 
     Parameters
     ----------

@@ -66,18 +66,20 @@ def identify(
     ends = [_end(record, fibre) for record in trials.train]
     fits = [fit_shape(start, [depth], fibre.from_tip_mm, seen[None], free=free) for depth, seen in ends]
     estimates = {name: _mean([fit.estimates[name] for fit in fits]) for name in free}
-    found = start.with_values(**{name: each.value for name, each in estimates.items()})
+    model = start.with_values(**{name: estimate.value for name, estimate in estimates.items()})
     depth = float(np.mean([depth for depth, _ in ends]))
-    tip = found.shape(depth, depth).position_mm[0]
+    tip = model.shape(depth, depth).position_mm[0]
     scores = [("RMS of the residuals", float(np.sqrt(np.mean([fit.rms_per_mm**2 for fit in fits]))), "1/mm")]
     scores += [(f"tip {axis} at {depth:.4g} mm", float(value), "mm") for axis, value in zip("xyz", tip, strict=True)]
     remarks = [*trials.remarks]
-    remarks += [f"{name}: the data do not determine it" for name, each in estimates.items() if not each.identified]
+    remarks += [
+        f"{name}: the data do not determine it" for name, estimate in estimates.items() if not estimate.identified
+    ]
     if boundary_mm is not None and all(boundary_mm >= depth - fibre.from_tip_mm[0] for depth, _ in ends):
         remarks.append("no sensor is in the second layer: its constant comes from the shape of the first layer alone")
     return Identification(
-        "shape", found, estimates, tuple(scores), (), tuple(remarks),
-        partial(_draw, ends=ends, sensors=fibre, found=found), fibre=fibre,
+        "shape", model, estimates, tuple(scores), (), tuple(remarks),
+        partial(_draw, ends=ends, sensors=fibre, model=model), fibre=fibre,
     )  # fmt: skip
 
 
@@ -96,14 +98,14 @@ def _mean(estimates: Sequence[Estimate]) -> Estimate:
     """Return the mean over trials with its 95 % interval; the estimate itself for one trial."""
     if len(estimates) == 1:
         return estimates[0]
-    mean = combine([each.value for each in estimates], [each.sd for each in estimates])
-    return mean.estimate("1/mm", identified=all(each.identified for each in estimates))
+    mean = combine([estimate.value for estimate in estimates], [estimate.sd for estimate in estimates])
+    return mean.estimate("1/mm", identified=all(estimate.identified for estimate in estimates))
 
 
-def _draw(figure: Figure, ends: Sequence[tuple[float, Array]], sensors: FibreSensors, found: LayeredShape) -> None:
+def _draw(figure: Figure, ends: Sequence[tuple[float, Array]], sensors: FibreSensors, model: LayeredShape) -> None:
     """Draw the measured curvatures with those of the model, and the shape at the mean depth."""
     depth = float(np.mean([depth for depth, _ in ends]))
-    shape = found.shape(depth, np.linspace(0.0, depth, 201))
+    shape = model.shape(depth, np.linspace(0.0, depth, 201))
     left, right = figure.subplots(1, 2)
     for axis, name in enumerate("yz"):
         (line,) = left.plot(shape.place_mm, 1e3 * shape.curvature_per_mm[:, axis], label=f"along {name}")
