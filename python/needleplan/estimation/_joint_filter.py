@@ -6,12 +6,13 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
+from typing import Any
 
 import numpy as np
+from filterpy.kalman import ExtendedKalmanFilter
 
 from needleplan.errors import DataError, Mistake
 from needleplan.estimation._joint_system import JointSystem
-from needleplan.estimation._kalman import corrected
 from needleplan.models import Channel, Model
 from needleplan.signals import Array, Motion
 
@@ -67,27 +68,28 @@ class FilterStep:
     x_sd: Array
 
 
-class ScalarKalmanFilter:
+class ScalarKalmanFilter(ExtendedKalmanFilter):  # type: ignore[misc]
     """Extended Kalman filter with a scalar measurement; the caller evaluates the nonlinear functions.
 
-    Attributes
-    ----------
-    x : numpy.ndarray
-        State, shape (n,).
-    P : numpy.ndarray
-        Covariance of the state, shape (n, n).
-    Q : numpy.ndarray
-        Covariance that each prediction adds, shape (n, n).
-    R : numpy.ndarray
-        Variance of the measurement, shape (1, 1).
+    filterpy predicts linearly, F x; this class replaces the prediction by a given state. The update of filterpy is in
+    Joseph form, which keeps P symmetric and positive.
     """
+
+    x: Array
+    P: Array
+    Q: Array
+    R: Array
+    F: Array
 
     def __init__(self, x: Array, covariance: Array, walk: Array, variance: float) -> None:
         """Start at `x`, shape (n,), with `covariance` and `walk` (Q), shape (n, n); `variance` is R."""
-        self.x: Array = x.copy()
-        self.P: Array = covariance.copy()
-        self.Q: Array = walk
-        self.R: Array = np.array([[variance]])
+        super().__init__(dim_x=x.size, dim_z=1)
+        self.x, self.P, self.Q = x.copy(), covariance.copy(), walk
+        self.R = np.array([[variance]])
+
+    def predict_x(self, u: Any = 0) -> None:
+        """Set x to `u`, the predicted state. filterpy calls this within `predict`."""
+        self.x = u
 
     def advance(self, x: Array, change: Array) -> None:
         """Predict: replace the state by a state that the caller has computed.
@@ -99,7 +101,8 @@ class ScalarKalmanFilter:
         change : numpy.ndarray
             Jacobian of the prediction, shape (n, n).
         """
-        self.x, self.P = x, change @ self.P @ change.T + self.Q
+        self.F = change
+        self.predict(x)
 
     def correct(self, measured: float, expected: float, change: Array) -> None:
         """Correct the state with a measured number.
@@ -113,8 +116,7 @@ class ScalarKalmanFilter:
         change : numpy.ndarray
             Gradient of `expected` with respect to the state, shape (n,).
         """
-        residual = np.array([measured - expected])
-        self.x, self.P = corrected(self.x, self.P, residual, self.R, change[np.newaxis])
+        self.update(np.array([measured]), lambda _: change[np.newaxis], lambda _: np.array([expected]))
 
     @property
     def lost(self) -> bool:

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 
 from needleplan.devices import Address, Source, Station, open_station, require_schemes
 from needleplan.errors import AddressError, Mistake
-from needleplan.estimation.registration import Registration
 from needleplan.models import Torsion
 from needleplan.planning import Entry, Pose, SpacePose, Table, guide_pose, planned_noise
 from needleplan.simulation._lab import Lab
@@ -17,6 +16,7 @@ from needleplan.simulation._simulation import Simulation
 
 if TYPE_CHECKING:
     from needleplan.devices.robot import MotionLimits
+    from needleplan.estimation.registration import Registration
 
 __all__ = ["SimulatedStation", "are_simulated", "open_insertion_station", "simulated_station", "tip_noise_remark"]
 
@@ -186,6 +186,9 @@ def simulated_station(
     -------
     SimulatedStation
     """
+    # Imported here, because estimation imports scipy.stats, which takes long and is not needed for simulations.
+    from needleplan.estimation.registration import Registration
+
     setup = simulation.setup
     pose = start.pose if isinstance(start, Entry) else start
     entry = _space_entry(setup.entry, pose) if isinstance(pose, SpacePose) else _plane_entry(setup.entry, pose)

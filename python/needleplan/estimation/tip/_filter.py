@@ -14,11 +14,11 @@ from bisect import bisect_right
 from typing import Self
 
 import numpy as np
+from filterpy.kalman import update as kalman_update
 from scipy.special import chdtri
 
 from needleplan.devices import FibreSample, Health, ImageSample, PoseSample, StageSample
 from needleplan.errors import DataError, Mistake
-from needleplan.estimation._kalman import corrected
 from needleplan.estimation.registration._registration import Registration
 from needleplan.estimation.tip._estimate import PoseUse, TipEstimate, TipSettings, TipStatus
 from needleplan.estimation.tip._images import ImageFixes
@@ -351,8 +351,8 @@ class TipFilter:
         self.nis = float(left @ np.linalg.solve(spread, left))
         if not self.nis <= self._gate:
             return False
-        self._state, covariance = corrected(self._state, self._covariance, left, noise, model)
-        self._covariance = (covariance + covariance.T) / 2
+        state, covariance = kalman_update(self._state, self._covariance, expected + left, noise, model)
+        self._state, self._covariance = np.asarray(state, float), np.asarray(covariance + covariance.T) / 2
         return True
 
     def _path_at(self, length_mm: float) -> tuple[float, Array, Array]:
