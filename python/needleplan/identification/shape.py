@@ -73,6 +73,11 @@ def identify(
     scores += [(f"tip {axis} at {depth:.4g} mm", float(value), "mm") for axis, value in zip("xyz", tip, strict=True)]
     remarks = [*trials.remarks]
     remarks += [f"{name}: the data do not determine it" for name, each in estimates.items() if not each.identified]
+    remarks += [
+        f"the sensor {place:g} mm from the tip is not in the tissue in any trial, and was not used"
+        for place in fibre.from_tip_mm
+        if place > max(depth for depth, _ in ends)
+    ]
     if boundary_mm is not None and all(boundary_mm >= depth - fibre.from_tip_mm[0] for depth, _ in ends):
         remarks.append("no sensor is in the second layer: its constant comes from the shape of the first layer alone")
     return Identification(
