@@ -189,7 +189,7 @@ class RobotStage(Stage):
         for kind in (RobotKind.HELLO, RobotKind.RESET, RobotKind.ENABLE):
             result, _ = self._conversation.command(kind, timing.answer_s, timely=kind is not RobotKind.HELLO)
             if result is not Result.ACCEPTED:
-                hint = f"; narrow the limits of the run to those of the robot: {self._asked}" * (result in _TOO_WIDE)
+                hint = f"; narrow the limits of the run to those of the robot: {self.limits}" * (result in _TOO_WIDE)
                 raise self._give_up(f"{kind.name.lower()}: {self._why(result, timing.answer_s)}{hint}")
         # Statuses received so far describe the robot before it was enabled.
         self._conversation.statuses.clear()
@@ -383,14 +383,6 @@ class RobotStage(Stage):
         if result is Result.IN_FAULT and self._conversation.statuses:
             return f"{_REASONS[result]}: {self._causes(self._conversation.statuses[-1][0])}"
         return _REASONS[result]
-
-    @property
-    def _asked(self) -> str:
-        limits = self.limits
-        return (
-            f"{limits.least_mm:g} to {limits.most_mm:g} mm, {limits.speed_mm_s:g} mm/s, {limits.roll_rad:g} rad and "
-            f"{limits.rotation_rad_s:g} rad/s were asked for"
-        )
 
     @staticmethod
     def _causes(status: RobotStatus) -> str:
