@@ -82,7 +82,7 @@ def test_another_law_of_the_base_competes_with_each_effect_by_its_lead() -> None
 
 @pytest.mark.study
 def test_of_a_pair_each_effect_is_also_fitted_alone() -> None:
-    found = diagnose(BASE, recordings({"viscous": {"size": 3e-4}, "bias": {"size": 0.3}}), library=FEW)
+    found = diagnose(BASE, recordings({"viscous": {"size": 1e-3}, "bias": {"size": 0.05}}), library=FEW)
     assert found.named.names in (("viscous", "bias"), ("bias", "viscous"))
     assert {("bias",), ("viscous",), ("bias", "viscous")} <= set(found.posterior.hypotheses)
 

@@ -29,7 +29,7 @@ __all__ = ["Anatomy"]
 
 @dataclass(frozen=True, eq=False)
 class Anatomy:
-    """A segmented volume and what is planned in it.
+    """A segmented volume, the meaning of its labels, and the settings of the plan.
 
     Parameters
     ----------
@@ -42,11 +42,11 @@ class Anatomy:
     source : str, optional
         Name of the anatomy file in messages. Default: no name.
     motion : TissueMotion, optional
-        How the tissue moves by breathing. Default: it is at rest.
+        Motion of the tissue by breathing. Default: the tissue is at rest.
     exhaled : Anatomy, optional
         The anatomy at the end of an exhalation, as in the file. Default: this anatomy.
     balls : dict, optional
-        Where balls of the file are at this level of inspiration. Default: where the file has them.
+        The ball at this level of inspiration for each ball of the file that has moved. Default: no ball has moved.
 
     Raises
     ------
@@ -74,8 +74,8 @@ class Anatomy:
         aims = zip(regions.aim_keys, ((aim.region,) for aim in regions.aims), strict=True)
         listed: list[tuple[str, tuple[Region, ...]]] = [
             ("obstacles", regions.obstacles), ("outside", regions.outside), *aims,
-            *((key, (each.region,)) for key, each in regions.entrances.items()),
-            ("curvature.label", tuple(each.label for each in regions.curvature)),
+            *((key, (entrance.region,)) for key, entrance in regions.entrances.items()),
+            ("curvature.label", tuple(tissue.label for tissue in regions.curvature)),
         ]  # fmt: skip
         present = {int(label) for label in labels_present(self.volume.labels)}
         for key, labels in listed:
@@ -181,7 +181,7 @@ class Anatomy:
         level : float
             Level of inspiration.
         near_mm : numpy.ndarray, optional
-            Points in RAS (mm), shape (n, 3), to whose surroundings the volume is cropped. Default: the whole volume.
+            Points in RAS (mm), shape (n, 3). The volume is cropped to their surroundings. Default: the whole volume.
 
         Returns
         -------
@@ -190,9 +190,9 @@ class Anatomy:
         assert self.motion is not None
         exhaled = self.exhaled or self
         regions = exhaled.file.anatomy
-        named = [each.region for each in regions.aims] + [each.region for each in regions.entrances.values()]
-        balls = [each for each in named if isinstance(each, Sphere)]
-        centers = [each.center_mm for each in balls]
+        named = [aim.region for aim in regions.aims] + [entrance.region for entrance in regions.entrances.values()]
+        balls = [region for region in named if isinstance(region, Sphere)]
+        centers = [ball.center_mm for ball in balls]
         volume, places = self.motion.moved(exhaled.volume, level, centers, near_mm)
         moved = {ball: replace(ball, center_mm=place) for ball, place in zip(balls, places, strict=True)}
         return replace(exhaled, volume=volume, exhaled=exhaled, balls=moved)
@@ -209,7 +209,8 @@ class Anatomy:
         region : str, int or Sphere
             Name or number of a label, or a ball in the coordinates of the volume (mm).
         touched : bool, default False
-            Whether a voxel belongs to a ball if a part of it may be in the ball. Default: if its centre is in the ball.
+            If true, a ball contains every voxel that it may touch. By default, it contains the voxels with their centre
+            in it.
 
         Returns
         -------
@@ -243,7 +244,7 @@ class Anatomy:
         numpy.ndarray
             Boolean, of the shape of the volume.
         """
-        parts = (self.inside(each.region, touched=touched) for each in self.regions.entrances.values())
+        parts = (self.inside(entrance.region, touched=touched) for entrance in self.regions.entrances.values())
         return np.asarray(np.logical_or.reduce(list(parts)))
 
     def entry_name(self, position_mm: ArrayLike) -> str:
@@ -262,7 +263,7 @@ class Anatomy:
         def away_mm(region: Region) -> float:
             return float(np.linalg.norm(self.points(region) - np.asarray(position_mm), axis=-1).min())
 
-        return min(self.regions.entrances.values(), key=lambda each: away_mm(each.region)).name
+        return min(self.regions.entrances.values(), key=lambda entrance: away_mm(entrance.region)).name
 
     def points(self, region: Region) -> NDArray[np.float64]:
         """Return the centres of the voxels of a region in RAS mm, shape (n, 3)."""
@@ -281,11 +282,11 @@ class Anatomy:
         """Yield the mistakes of labels that are named twice, by name and by number, with different meanings."""
         regions = self.regions
         first: dict[int, int] = {}
-        for place, each in enumerate(regions.curvature, start=1):
-            (number,) = self.numbers((each.label,))
+        for place, tissue in enumerate(regions.curvature, start=1):
+            (number,) = self.numbers((tissue.label,))
             if first.setdefault(number, place) != place:
                 rule = f"is the label of [[anatomy.curvature]] {first[number]} too"
-                yield Mistake(f"anatomy.curvature {place}.label", str(each.label), rule)
+                yield Mistake(f"anatomy.curvature {place}.label", str(tissue.label), rule)
         known: dict[int, str] = {}
         for key, aim in zip(regions.aim_keys, regions.aims, strict=True):
             if not isinstance(aim.region, Sphere):
@@ -300,18 +301,15 @@ class Anatomy:
 
     def _overlaps(self) -> list[Mistake]:
         """Return the mistakes of a target or entry region that lies in obstacles or outside."""
-        regions, found = self.regions, []
+        regions, mistakes = self.regions, []
         for kind, labels in (("obstacles", regions.obstacles), ("outside", regions.outside)):
             closed = self.numbers(labels)
             aims = zip(regions.aim_keys, (aim.region for aim in regions.aims), strict=True)
-            entrances = ((key, each.region) for key, each in regions.entrances.items())
+            entrances = ((key, entrance.region) for key, entrance in regions.entrances.items())
             for key, region in (*aims, *entrances):
                 labels_within = self.volume.labels[self.inside(region)]
                 if np.isin(labels_within, closed).all():
-                    rule = (
-                        f"all of its voxels belong to anatomy.{kind}"
-                        if labels_within.size
-                        else "no voxel is left in the volume"
-                    )
-                    found.append(Mistake(f"anatomy.{key}", str(region), rule))
-        return found
+                    rule = f"all of its voxels belong to anatomy.{kind}"
+                    rule = rule if labels_within.size else "no voxel is left in the volume"
+                    mistakes.append(Mistake(f"anatomy.{key}", str(region), rule))
+        return mistakes

@@ -47,10 +47,12 @@ def _no_folds(full_mm: float, fade_mm: float, still: tuple[str | int, ...] | Non
 class Breathing(ConfigTable, key="breathing", error=ScenarioError, between=(_a_shape, _no_folds)):
     """Motion of the tissue by breathing.
 
-    `full_mm`: largest displacement of tissue at full inspiration. `toward`: its direction, a unit vector in RAS.
-    `still`: labels at rest; the displacement grows linearly up to the distance `fade_mm` from them. `field`: file with
-    a displacement field in place of `toward`. `period_s`, `rest`: period, and dwell as of the effect `respiration`: 1
-    dwells at exhalation, 0 is a sine. `level`: level of inspiration that is planned for.
+    - `full_mm`: largest displacement of tissue at full inspiration.
+    - `toward`: its direction, a unit vector in RAS.
+    - `still`: labels at rest; the displacement grows linearly up to the distance `fade_mm` from them.
+    - `field`: file with a displacement field in place of `toward`.
+    - `period_s`, `rest`: period, and dwell as of the effect `respiration`: 1 dwells at exhalation, 0 is a sine.
+    - `level`: level of inspiration that is planned for.
     """
 
     full_mm: float = ruled(Number("mm", above=0, at_most=100))
@@ -63,7 +65,7 @@ class Breathing(ConfigTable, key="breathing", error=ScenarioError, between=(_a_s
     level: float = ruled(Number(at_least=0, at_most=1), 0.0)
 
     def level_at(self, time_s: ArrayLike) -> NDArray[np.float64]:
-        """Return the level of inspiration, equation (6).
+        """Return the level of inspiration, equation (5).
 
         Parameters
         ----------
@@ -81,7 +83,7 @@ class Breathing(ConfigTable, key="breathing", error=ScenarioError, between=(_a_s
         return np.asarray(moved + (1 - self.rest) / 2)
 
     def level_for(self, residual_mm: float) -> float | None:
-        """Return the level at which the tissue is off by a residual of breathing.
+        """Return a level at which the largest displacement of tissue from the plan is `residual_mm`.
 
         Parameters
         ----------
@@ -91,10 +93,11 @@ class Breathing(ConfigTable, key="breathing", error=ScenarioError, between=(_a_s
         Returns
         -------
         float or None
-            Towards inspiration, or towards exhalation if that is too little; None if both are.
+            The level above the planned one; the level below it if the former is above 1; None if neither is from 0 to
+            1.
         """
         away = residual_mm / self.full_mm
-        return next((each for each in (self.level + away, self.level - away) if 0 <= each <= 1), None)
+        return next((level for level in (self.level + away, self.level - away) if 0 <= level <= 1), None)
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,7 +117,7 @@ class TissueMotion:
 
     @classmethod
     def read(cls, breathing: Breathing, names: Mapping[str, int], folder: str | os.PathLike[str]) -> TissueMotion:
-        """Return the motion that a file describes; the field is in a folder. Raises ScenarioError."""
+        """Return the motion that `breathing` describes; its file `field` is in `folder`. Raises ScenarioError."""
         labels = tuple(label_number(label, names, "breathing.still") for label in breathing.still)
         if breathing.field is None:
             return cls(breathing, labels)
@@ -133,9 +136,9 @@ class TissueMotion:
         centers_mm: Sequence[tuple[float, float, float]],
         near_mm: NDArray[np.float64] | None,
     ) -> tuple[LabelVolume, list[tuple[float, float, float]]]:
-        """Return a volume, and points (RAS mm), of the end of an exhalation at a level of inspiration.
+        """Move a volume and points (RAS mm) from the end of an exhalation to a level of inspiration.
 
-        Equation (4): a voxel has the label of the voxel in which its tissue was. The volume is cropped to the
+        Equation (3): a voxel has the label of the voxel in which its tissue was. The volume is cropped to the
         surroundings of the points `near_mm`, shape (n, 3).
         """
         part = volume
@@ -146,16 +149,16 @@ class TissueMotion:
             part = replace(volume, labels=volume.labels[box], affine=affine)
         labels = part.labels
         share = self._shares(part)
-        found = np.empty_like(labels)
+        moved = np.empty_like(labels)
         for i in range(len(labels)):  # slice by slice, for the memory
             index = np.stack(np.meshgrid([i], *map(np.arange, labels.shape[1:]), indexing="ij"), -1)[0]
             source = part.voxels(part.world(index) - level * share[i][..., None] * self._directions(part, index))
             at = np.clip(np.floor(source + 0.5).astype(np.int64), 0, np.array(labels.shape) - 1)
-            found[i] = labels[tuple(np.moveaxis(at, -1, 0))]
-        return replace(part, labels=found), [self._place(part, share, level, center) for center in centers_mm]
+            moved[i] = labels[tuple(np.moveaxis(at, -1, 0))]
+        return replace(part, labels=moved), [self._place(part, share, level, center) for center in centers_mm]
 
     def _shares(self, part: LabelVolume) -> NDArray[np.float32]:
-        """Return the displacement of voxels as a share of the one without bones, equation (5)."""
+        """Return the displacement of voxels as a share of the one without bones, equation (4)."""
         from scipy import ndimage
 
         still = np.isin(part.labels, self.labels)
@@ -172,7 +175,7 @@ class TissueMotion:
             return self.breathing.full_mm * np.array(self.breathing.toward)
         values, affine = self.field
         places = np.moveaxis((part.world(index) - affine[:3, 3]) @ np.linalg.inv(affine[:3, :3]).T, -1, 0)
-        sampled = [ndimage.map_coordinates(each, places, np.float64, order=1, mode="nearest") for each in values]
+        sampled = [ndimage.map_coordinates(part, places, np.float64, order=1, mode="nearest") for part in values]
         return self.breathing.full_mm * np.stack(sampled, -1)
 
     def _place(

@@ -59,9 +59,9 @@ def require_size(count: int, stored: int, compressed: bool, key: str, source: st
 
 
 def exact_bytes(stream: IO[bytes], count: int, source: str, *, compressed: bool) -> bytes:
-    """Return the `count` bytes up to the end of a stream, decompressed if `compressed`.
+    """Read the rest of a stream, which must have exactly `count` bytes after decompression if `compressed`.
 
-    Never reads more than one byte more. Raises ScenarioError if the stream ends before or after, or is damaged.
+    Reads at most `count` + 1 bytes. Raises ScenarioError if the stream is shorter or longer, or is damaged.
     """
     reader: IO[bytes] = gzip.GzipFile(fileobj=stream) if compressed else stream  # type: ignore[assignment]
     try:

@@ -49,7 +49,7 @@ _TOLD_ML = 0.05
 
 @dataclass(frozen=True)
 class CaseChoices:
-    """What a person has decided of a case.
+    """Decisions of a person about a folder of segmentations.
 
     Parameters
     ----------
@@ -119,7 +119,7 @@ def read_case(folder: str | os.PathLike[str], choices: CaseChoices | None = None
         Folder with segmentations (.nii, .nii.gz, .nrrd, .nhdr), label names for files with several labels without names
         (.ctbl, .csv, .txt), and marked points (.mrk.json, .fcsv).
     choices : CaseChoices, optional
-        What is decided already. Default: nothing.
+        Decisions that are already made. Default: none.
 
     Returns
     -------
@@ -128,7 +128,7 @@ def read_case(folder: str | os.PathLike[str], choices: CaseChoices | None = None
     Raises
     ------
     ScenarioError
-        If a file is wrong, or with what has to be decided.
+        If a file is wrong, or decisions are missing; the message lists them.
     """
     choices, place = choices or CaseChoices(), Path(folder)
     everything, points = _read_all(place)
@@ -224,15 +224,16 @@ def _proposed(
         unknown.append(Mistake("entry", str(choices.entry), "is the target too"))
     if unknown:
         raise ScenarioError(unknown, source)
-    found = {name: role_by_name(name) for name in names}
-    found |= {name: (role, "chosen") for name, role in choices.roles.items()}
+    proposals = {name: role_by_name(name) for name in names}
+    proposals |= {name: (role, "chosen") for name, role in choices.roles.items()}
     for key, role in ((choices.target, StructureRole.TARGET), (choices.entry, StructureRole.ENTRY)):
         if key is not None:
             other = (StructureRole.TISSUE, f"another {role} was chosen")
-            found = {name: other if each[0] is role and name != key else each for name, each in found.items()}
-        if isinstance(key, str) and key in found:
-            found[key] = (role, "chosen")
-    return found
+            others = {name for name, (proposed, _) in proposals.items() if proposed is role and name != key}
+            proposals |= dict.fromkeys(others, other)
+        if isinstance(key, str) and key in proposals:
+            proposals[key] = (role, "chosen")
+    return proposals
 
 
 def _region(
@@ -247,17 +248,18 @@ def _region(
     position = choice if isinstance(choice, tuple) else None
     if position is None:
         role = StructureRole(key)
-        named = [name for name, (each, _) in proposed.items() if each is role]
+        named = [name for name, (proposed_role, _) in proposed.items() if proposed_role is role]
         marked = [point for point in points if point.label == choice or (choice is None and key in point.label.lower())]
         if isinstance(choice, str) and choice not in proposed and len(marked) != 1:
             names = [*proposed, *(point.label for point in points)]
             rule = f"is no structure or marked point{suggestion(choice, names)}"
             rule = f"is the label of {len(marked)} marked points: choose one by R,A,S" if marked else rule
             raise ScenarioError(Mistake(key, choice, rule), source)
-        if choice is None and any("target" in each.label.lower() and "entry" in each.label.lower() for each in marked):
+        texts = [point.label.lower() for point in marked]
+        if choice is None and any("target" in text and "entry" in text for text in texts):
             raise ScenarioError(Mistake(key, marked[0].label, "names target and entry: rename the point"), source)
         if len(named) + len(marked) > 1:
-            several = ", ".join([*named, *(each.label for each in marked)])
+            several = ", ".join([*named, *(point.label for point in marked)])
             raise ScenarioError(Mistake(key, several, "are several: choose one"), source)
         if named:
             return named[0]
@@ -321,8 +323,9 @@ class _Merge:
             return _Holder(self._target_mm[None])
         voxels = np.argwhere(structure.inside) + structure.corner
         # Voxels beside those of the target, too: a segmentation may have cut the target out of the organ.
-        beside = voxels[:, None] + np.concatenate([np.zeros((1, 3), int), np.eye(3, dtype=int), -np.eye(3, dtype=int)])
-        points = beside.reshape(-1, 3) @ structure.affine[:3, :3].T + structure.affine[:3, 3]
+        steps = np.concatenate([np.zeros((1, 3), int), np.eye(3, dtype=int), -np.eye(3, dtype=int)])
+        neighbours = voxels[:, None] + steps
+        points = neighbours.reshape(-1, 3) @ structure.affine[:3, :3].T + structure.affine[:3, 3]
         self._target_mm = points.mean(0)
         return _Holder(points)
 
@@ -350,9 +353,9 @@ class _Merge:
         """Note a mistake if what is around the target is in no structure, as in a mask of the skin that is a shell."""
         voxels = np.floor(self.grid.voxels(target.points_mm) + 0.5).astype(np.int64)
         labels = self.labels[tuple(voxels[((voxels >= 0) & (voxels < self.grid.shape)).all(-1)].T)]
-        around = labels[[self._roles.get(each) is not StructureRole.TARGET for each in labels.tolist()]]
+        around = labels[[self._roles.get(label) is not StructureRole.TARGET for label in labels.tolist()]]
         if 2 * int((around == 0).sum()) > len(around):
-            bodies = (name for name, each in self.numbers.items() if self._roles[each] is StructureRole.BODY)
+            bodies = (name for name, number in self.numbers.items() if self._roles[number] is StructureRole.BODY)
             rule = (
                 "is hollow, or does not hold the target, around which there is no structure: fill the mask, add the "
                 "organ around the target, or give the mask the role ignored"

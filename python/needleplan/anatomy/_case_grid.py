@@ -48,7 +48,7 @@ class CommonGrid:
         start, end = np.maximum(start - 1, first), np.minimum(end + 1, last)
         affine = finest.affine.copy()
         affine[:3, 3] += affine[:3, :3] @ start
-        ni, nj, nk = (int(each) for each in end - start)
+        ni, nj, nk = (int(number) for number in end - start)
         counted_bytes((ni, nj, nk), 2, "voxels of the case", finest.source)
         return cls(affine, (ni, nj, nk))
 
@@ -73,7 +73,7 @@ class CommonGrid:
         return bool(reach.max() < _SAME_VOXELS and abs(offset - np.round(offset)).max() < _SAME_VOXELS)
 
     def box(self, structure: Structure) -> tuple[tuple[slice, slice, slice], NDArray[np.bool_]]:
-        """Return the slices of the grid around a structure, and the mask of their voxels with a centre in it."""
+        """Return the box of the grid around a structure (slices), and the mask of its voxels with a centre in it."""
         low, high = self._box(structure, structure.corner, structure.corner + structure.inside.shape)
         first = np.maximum(np.floor(low + 0.5), 0).astype(np.int64)
         last = np.minimum(np.ceil(high + 0.5), self.shape).astype(np.int64)

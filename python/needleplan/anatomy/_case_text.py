@@ -91,7 +91,7 @@ def _table(case: AnatomyCase) -> str:
     """Return the colour table."""
     lines = [f"# Labels of {_shown(case.volume.source)}", f"0 {_zero(case)} 0 0 0 0"]
     for name, number in case.volume.names.items():
-        red, green, blue = (round(255 * each) for each in colorsys.hsv_to_rgb(number * _HUE % 1, 0.6, 0.9))
+        red, green, blue = (round(255 * share) for share in colorsys.hsv_to_rgb(number * _HUE % 1, 0.6, 0.9))
         lines.append(f"{number} {table_name(name)} {red} {green} {blue} 255")
     return "\n".join(lines) + "\n"
 
@@ -112,14 +112,14 @@ def _text(case: AnatomyCase, volume: str, table: str, radius_mm: float, gauge: i
     listed = [
         f"{structure.name:<{width}}  {structure.volume_ml:>9.1f} ml  {structure.role:<8}  {structure.reason} "
         f"({structure.file})"
-        for structure in sorted(case.structures, key=lambda each: (each.role, each.name))
+        for structure in sorted(case.structures, key=lambda structure: (structure.role, structure.name))
     ]
     obstacles = [f"    {_quoted(table_name(name))}," for name in case.named(StructureRole.OBSTACLE)]
     outside = [f'outside = ["{OUTSIDE}"]'] if case.named(StructureRole.BODY) else []
     needle = [f"gauge = {gauge}"] if gauge is not None else []
     return "\n".join([
         "# Made by `needleplan case`. Roles are proposals by name: check each line.",
-        *(f"# {_shown(each)}" for each in (*listed, *case.notes)), 'schema = "needleplan.anatomy/1"',
+        *(f"# {_shown(text)}" for text in (*listed, *case.notes)), 'schema = "needleplan.anatomy/1"',
         f"title = {_quoted(_shown(Path(case.volume.source).resolve().name))}", "", "[anatomy]",
         f"file = {_quoted(volume)}", f"labels = {_quoted(table)}", f"target = {_region(case.target)}",
         f"entry = {_region(case.entry)}", "obstacles = [", *obstacles, "]", *outside, f"margin_mm = {margin_mm:g}", "",

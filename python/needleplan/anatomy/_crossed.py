@@ -39,7 +39,7 @@ def crossed_voxels(
     shares : numpy.ndarray
         Shares from 0 to 1, ascending, shape (n, m); 0 for the voxel of `start`, infinity for repeated ones.
     """
-    first, last = (np.floor(each + 0.5).astype(np.int64) for each in (start, end))
+    first, last = (np.floor(point + 0.5).astype(np.int64) for point in (start, end))
     count, sign = abs(last - first), np.sign(last - first)
     number = np.arange(count.max(initial=0))
     faces = first[..., None] + sign[..., None] * (number + 0.5)

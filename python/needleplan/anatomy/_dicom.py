@@ -47,15 +47,15 @@ def dicom_segments(file: Path) -> Iterator[tuple[str, NDArray[np.float64], NDArr
             raise ScenarioError(rule, source)
         if data.SegmentationType != "BINARY":
             raise ScenarioError(Mistake("SegmentationType", str(data.SegmentationType), "must be BINARY"), source)
-        names = {int(each.SegmentNumber): str(each.SegmentLabel).strip() for each in data.SegmentSequence}
+        names = {int(segment.SegmentNumber): str(segment.SegmentLabel).strip() for segment in data.SegmentSequence}
         affine, slices = _places(data, source)
         shape = (int(data.Columns), int(data.Rows), int(max(slices)) + 1)
         counted_bytes(shape, 2, "Rows, Columns, frames", source)
         require_size(len(slices) * shape[0] * shape[1] // 8, len(data.PixelData), False, "NumberOfFrames", source)
         frames = np.asarray(data.pixel_array).reshape(len(slices), shape[1], shape[0])
         numbers = [
-            int(each.SegmentIdentificationSequence[0].ReferencedSegmentNumber)
-            for each in data.PerFrameFunctionalGroupsSequence
+            int(group.SegmentIdentificationSequence[0].ReferencedSegmentNumber)
+            for group in data.PerFrameFunctionalGroupsSequence
         ]
     except ScenarioError:
         raise
@@ -81,8 +81,8 @@ def _places(data: Any, source: str) -> tuple[NDArray[np.float64], NDArray[np.int
 
     row, column = np.array(group("PlaneOrientationSequence").ImageOrientationPatient, np.float64).reshape(2, 3)
     measures, normal = group("PixelMeasuresSequence"), np.cross(row, column)
-    between_rows, between_columns = (float(each) for each in measures.PixelSpacing)
-    corners = np.array([each.PlanePositionSequence[0].ImagePositionPatient for each in groups], np.float64)
+    between_rows, between_columns = (float(number) for number in measures.PixelSpacing)
+    corners = np.array([group.PlanePositionSequence[0].ImagePositionPatient for group in groups], np.float64)
     along = corners @ normal
     levels = np.unique(np.round(along, 3))
     stated = measures.get("SpacingBetweenSlices", measures.get("SliceThickness", 1.0))

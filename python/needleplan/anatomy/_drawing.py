@@ -75,7 +75,8 @@ def slice_note(grid: AnatomyGrid, has_path: bool = True) -> str:
 def target_slices(grid: AnatomyGrid) -> list[tuple[int, int]]:
     """Return axis and number of three slices through the target, across z, y and x.
 
-    Each is the slice with the most grid points of the target; of equal ones, that nearest to the centroid.
+    Along each axis, it is the slice with the most grid points of the target. Of equal slices, it is the one nearest to
+    the centroid of the target.
     """
     cells = np.argwhere(grid.codes == TARGET)
     found = []

@@ -96,7 +96,7 @@ class Sphere(ConfigTable, error=ScenarioError):
     radius_mm: float = ruled(_LENGTH)
 
     def __str__(self) -> str:
-        return f"{[round(each, 1) for each in self.center_mm]}, radius {self.radius_mm:g}"
+        return f"{[round(number, 1) for number in self.center_mm]}, radius {self.radius_mm:g}"
 
 
 Region = str | int | Sphere
@@ -167,18 +167,18 @@ def _one_entry_or_several(entry: Region | None, entries: tuple[NamedEntry | None
 
 
 def _different_targets(targets: tuple[NamedTarget | None, ...]) -> Iterator[Mistake]:
-    for place, each in enumerate(targets):
+    for place, target in enumerate(targets):
         for number, other in enumerate(targets[:place], start=1):
-            if each is None or other is None:
+            if target is None or other is None:
                 continue
-            if each.name == other.name:
+            if target.name == other.name:
                 rule = f"is the name of [[anatomy.targets]] {number} too: names must differ"
-                yield Mistake(f"targets {place + 1}.name", each.name, rule)
-            elif each.region == other.region:
+                yield Mistake(f"targets {place + 1}.name", target.name, rule)
+            elif target.region == other.region:
                 rule = f'is the region of [[anatomy.targets]] {number} ("{other.name}") too'
-                yield Mistake(f'targets {place + 1} ("{each.name}").region', str(each.region), rule)
-        if each is not None and each.name in _RANKS:
-            yield Mistake(f"targets {place + 1}.name", each.name, "is a word of `entry --rank`: take another name")
+                yield Mistake(f'targets {place + 1} ("{target.name}").region', str(target.region), rule)
+        if target is not None and target.name in _RANKS:
+            yield Mistake(f"targets {place + 1}.name", target.name, "is a word of `entry --rank`: take another name")
 
 
 @dataclass(frozen=True)
@@ -190,8 +190,8 @@ class AnatomyRegions(
 ):
     """The volume, and the meaning of its labels. Regions are labels, or balls in RAS mm.
 
-    There is one `target`, or there are several `targets`; the same holds for `entry` and `entries`.
-    `margin_mm` holds for all obstacles that have no own in `margins_mm`.
+    There is one `target`, or there are several `targets`; the same holds for `entry` and `entries`. `margin_mm` is the
+    margin of the obstacles that are not in `margins_mm`.
     """
 
     file: str = ruled(Text(filled=True))
@@ -208,15 +208,15 @@ class AnatomyRegions(
 
     @property
     def entrances(self) -> dict[str, NamedEntry]:
-        """The entry regions by their keys in messages, without "anatomy."; a single one has the name "entry"."""
+        """Entry regions by their keys in messages (without "anatomy."); a single region has the name "entry"."""
         if self.entry is not None:
             return {"entry": NamedEntry("entry", self.entry)}
-        return {f'entries {place} ("{each.name}").region': each for place, each in enumerate(self.entries, start=1)}
+        return {f'entries {place} ("{entry.name}").region': entry for place, entry in enumerate(self.entries, start=1)}
 
     @property
     def entry_text(self) -> str:
         """The entry region, or the names of several, for messages."""
-        return ", ".join(each.name for each in self.entries) or str(self.entry)
+        return ", ".join(entry.name for entry in self.entries) or str(self.entry)
 
     @property
     def aims(self) -> tuple[NamedTarget, ...]:
@@ -227,7 +227,7 @@ class AnatomyRegions(
     def aim_keys(self) -> tuple[str, ...]:
         """The key of each target in messages, without "anatomy."."""
         several = enumerate(self.targets, start=1)
-        return tuple(f'targets {place} ("{each.name}").region' for place, each in several) or ("target",)
+        return tuple(f'targets {place} ("{target.name}").region' for place, target in several) or ("target",)
 
     @property
     def largest_margin_mm(self) -> float:
@@ -245,11 +245,11 @@ def _one_thickness(diameter_mm: float | None, gauge: int | None) -> Iterator[Mis
 class SpaceNeedle(ConfigTable, key="needle", error=ScenarioError, between=(_one_thickness,)):
     """The needle in 3D.
 
-    `curvature_radius_mm` holds where no label has its own. `tip_noise_deg` is the standard deviation of each of the two
-    angles of the tangent after 10 mm of insertion; it grows with the square root of the length. `straight_steps`
-    permits straight steps, by duty cycling. Obstacles are grown by half of `thickness_mm`, beside their margin; the
-    shaft follows the tip, so it needs no more room. The thickness is `diameter_mm`, or the outer diameter of `gauge`.
-    `length_mm`: the part that can be inserted; entries with a longer path are left out.
+    `curvature_radius_mm` is the radius in tissues without one of their own. `tip_noise_deg` is the standard deviation
+    of each of the two angles of the tangent after 10 mm of insertion; it grows with the square root of the length.
+    `straight_steps` permits straight steps, by duty cycling. Obstacles are grown by half of `thickness_mm`, beside
+    their margin; the shaft follows the tip, so it needs no more room. The thickness is `diameter_mm`, or the outer
+    diameter of `gauge`. `length_mm`: the part that can be inserted; entries with a longer path are left out.
     """
 
     curvature_radius_mm: float = ruled(_RADIUS)
@@ -274,7 +274,7 @@ def _whole_steps(spacing_mm: float | None, step_mm: float | None) -> Iterator[Mi
         return
     if spacing_mm is not None and not _is_whole(step_mm, spacing_mm):
         yield Mistake("step_mm", f"{step_mm:g}", f"must be a multiple of spacing_mm = {spacing_mm:g}")
-    if spacing_mm is None and not any(_is_whole(step_mm, each) for each in SPACINGS_MM):
+    if spacing_mm is None and not any(_is_whole(step_mm, spacing) for spacing in SPACINGS_MM):
         yield Mistake("step_mm", f"{step_mm:g}", "must be a multiple of 1, 1.5 or 2 mm, or spacing_mm must be given")
 
 
@@ -303,10 +303,10 @@ class SpaceLattice(ConfigTable, key="lattice", error=ScenarioError, between=(_wh
         """The spacings that may be taken, finest first."""
         if self.spacing_mm is not None:
             return (self.spacing_mm,)
-        return tuple(each for each in SPACINGS_MM if self.step_mm is None or _is_whole(self.step_mm, each))
+        return tuple(spacing for spacing in SPACINGS_MM if self.step_mm is None or _is_whole(self.step_mm, spacing))
 
     def step_of(self, spacing_mm: float) -> float:
-        """Return the advance of a step (mm) with a spacing: `step_mm`, or the multiple of it that is nearest to 4."""
+        """Return the advance of a step (mm): `step_mm`, by default the multiple of the spacing nearest to 4 mm."""
         return self.step_mm or spacing_mm * max(round(_STEP_MM / spacing_mm), 1)
 
 
@@ -329,7 +329,9 @@ def _radii_above_spacing(
     anatomy: AnatomyRegions, needle: SpaceNeedle, lattice: SpaceLattice
 ) -> Iterator[Mistake]:  # fmt: skip
     radii = [("needle.curvature_radius_mm", needle.curvature_radius_mm)]
-    radii += [(f"anatomy.curvature[{n}].radius_mm", each.radius_mm) for n, each in enumerate(anatomy.curvature) if each]
+    radii += [
+        (f"anatomy.curvature[{n}].radius_mm", tissue.radius_mm) for n, tissue in enumerate(anatomy.curvature) if tissue
+    ]
     spacing = lattice.spacing_mm or SPACINGS_MM[0]
     for key, radius in radii:
         if radius < spacing:

@@ -75,8 +75,10 @@ _FARTHEST_MM = 30.0
 class SpaceFrame:
     """Axes and grid of a lattice.
 
-    `origin_mm`: grid point 0 in RAS mm, shape (3,). `axes`: rows are the unit vectors of x, y and z in RAS, shape (3,
-    3). `spacing_mm`: distance of grid points. `shape`: number of grid points along x, y and z.
+    - `origin_mm`: grid point 0 in RAS mm, shape (3,).
+    - `axes`: rows are the unit vectors of x, y and z in RAS, shape (3, 3).
+    - `spacing_mm`: distance of grid points.
+    - `shape`: number of grid points along x, y and z.
 
     `local` moves positions from RAS to the lattice, and `world` back. A direction d in RAS is `axes @ d` in the
     lattice; a direction t of the lattice is `t @ axes` in RAS.
@@ -182,7 +184,7 @@ def _needed_bytes(anatomy: Anatomy, frame: SpaceFrame) -> int:
 def _frame_with(anatomy: Anatomy, spacing_mm: float) -> SpaceFrame:
     """Return the frame of an anatomy with a spacing. Raises ScenarioError if entry region and target are too close."""
     regions, lattice = anatomy.regions, anatomy.file.lattice
-    entry = np.concatenate([anatomy.points(each.region) for each in regions.entrances.values()])
+    entry = np.concatenate([anatomy.points(entrance.region) for entrance in regions.entrances.values()])
     target = np.concatenate([anatomy.points(aim.region) for aim in regions.aims])
     along = target.mean(0) - entry.mean(0)
     if np.linalg.norm(along) < 2 * spacing_mm:
@@ -197,7 +199,7 @@ def _frame_with(anatomy: Anatomy, spacing_mm: float) -> SpaceFrame:
     ends_at = np.concatenate([starts, ends])
     low, high = ends_at.min(0), ends_at.max(0)
     low[0], high[0] = starts[:, 0].min(), max(ends[:, 0].max(), starts[:, 0].min())
-    radius = min([anatomy.file.needle.curvature_radius_mm, *(each.radius_mm for each in regions.curvature)])
+    radius = min([anatomy.file.needle.curvature_radius_mm, *(tissue.radius_mm for tissue in regions.curvature)])
     chord = float(np.linalg.norm(high - low))
     bulge = math.tan(math.radians(lattice.cone_deg)) * (high[0] - low[0]) / 2
     if chord < 2 * radius:
@@ -243,12 +245,12 @@ def nearest_labels(volume: LabelVolume, values: NDArray[np.uint8], frame: SpaceF
     numpy.ndarray
         Values (uint8), of the shape of the frame.
     """
-    found = np.full(frame.shape, beyond, np.uint8)
+    sampled = np.full(frame.shape, beyond, np.uint8)
     for number in range(frame.shape[0]):
         index = np.floor(volume.voxels(frame.slice_points(number)) + 0.5).astype(np.int64)
         within = ((index >= 0) & (index < values.shape)).all(-1)
-        found[number][within] = values[tuple(index[within].T)]
-    return found
+        sampled[number][within] = values[tuple(index[within].T)]
+    return sampled
 
 
 @dataclass(frozen=True, eq=False)
@@ -259,7 +261,7 @@ class FileDistances:
     distances_mm: NDArray[np.float32]
 
     def at(self, index: NDArray[np.int64]) -> NDArray[np.float32]:
-        """Return the distances of voxels of the file, shape (n, 3); at most 30 mm."""
+        """Return the distances (mm, at most 30), shape (n,), of voxels with the indices `index`, shape (n, 3)."""
         if not self.distances_mm.size:
             return np.full(len(index), _FARTHEST_MM, np.float32)
         inside = np.clip(index - self.first, 0, np.array(self.distances_mm.shape) - 1)
@@ -269,16 +271,16 @@ class FileDistances:
         """Return the distances of the grid points of a frame, at most 30 mm."""
         from scipy import ndimage
 
-        found = np.full(frame.shape, _FARTHEST_MM, np.float32)
+        distances = np.full(frame.shape, _FARTHEST_MM, np.float32)
         if self.distances_mm.size:
             for number in range(frame.shape[0]):
                 index = np.moveaxis(volume.voxels(frame.slice_points(number)) - self.first, -1, 0)
-                found[number] = ndimage.map_coordinates(self.distances_mm, index, order=1, mode="nearest")
-        return found
+                distances[number] = ndimage.map_coordinates(self.distances_mm, index, order=1, mode="nearest")
+        return distances
 
 
 def file_distances(volume: LabelVolume, obstacle: NDArray[np.bool_], frame: SpaceFrame) -> FileDistances:
-    """Return the distances of the voxels of a file near a frame to those of `obstacle`; empty if there are none."""
+    """Return the distances from the voxels near a frame to the voxels of `obstacle`; empty without such voxels."""
     from scipy import ndimage
 
     low, box = volume.near(frame.corners_mm, _FARTHEST_MM)

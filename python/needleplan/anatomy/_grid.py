@@ -40,15 +40,17 @@ __all__ = ["FREE", "OBSTACLE", "OUTSIDE", "TARGET", "AnatomyGrid", "grid_of", "g
 
 @dataclass(frozen=True, eq=False)
 class AnatomyGrid:
-    """What is where in a frame of the shape (nx, ny, nz). The last three arrays have this shape.
+    """Obstacles, target, entry points and tissues on a lattice of the shape (nx, ny, nz).
 
-    `voxels`: 0 free, 1 target, 2 obstacle (grown by margin and needle), 3 outside of volume or body, in r^3 voxels for
-    each grid point, shape (r nx, r ny, r nz). The centre of voxel (r i, r j, r k) is the grid point (i, j, k).
-    `possible`: what is possible in the cells of a proof, of the same kind (`possible_cells`). `clearance_mm`: distance
-    to the obstacles without margin, at most 30. `entry`: 0, or the number from 1 on of the voxel of the grid point, in
-    the order [x][y][z], in which a needle enters; 1 is the grid point itself. `tissues`: index of the radius in
-    `radii_mm`; index 0 is the radius of the needle. `target`: the target as the user gave it, in which executions end.
-    `loss`: what the lattice changes of the file; None for a grid from a table file.
+    - `voxels`: 0 free, 1 target, 2 obstacle (grown by margin and needle), 3 outside of volume or body, in r^3 voxels
+      for each grid point, shape (r nx, r ny, r nz). The centre of voxel (r i, r j, r k) is the grid point (i, j, k).
+    - `possible`: codes of the cells of the reachability proof (`possible_cells`).
+    - `clearance_mm`: distance to the obstacles without margin, at most 30, shape (nx, ny, nz).
+    - `entry`: 0 at grid points without an entry, else the number of the voxel in which the needle enters: 1 is the
+      grid point itself, and the other voxels of the grid point follow in the order [x][y][z]; shape (nx, ny, nz).
+    - `tissues`: index of the radius in `radii_mm`, shape (nx, ny, nz); index 0 is the radius of the needle.
+    - `target`: the target as the user gave it, in which executions end.
+    - `loss`: differences between lattice and file; None for a grid from a table file.
     """
 
     frame: SpaceFrame
@@ -76,7 +78,7 @@ class AnatomyGrid:
 
     @cached_property
     def codes(self) -> NDArray[np.uint8]:
-        """Codes of the voxels at the grid points, to draw them; a target between grid points has the nearest ones."""
+        """Voxel codes at the grid points, for drawings; a target between grid points is drawn at the nearest ones."""
         every = slice(None, None, self.refinement)
         codes = np.ascontiguousarray(self.voxels[every, every, every])
         if not (codes == TARGET).any():
@@ -102,7 +104,7 @@ class AnatomyGrid:
         return np.asarray(ndimage.map_coordinates(self.clearance_mm, index, np.float64, order=1, mode="nearest"))
 
     def entry_points_mm(self) -> NDArray[np.float64]:
-        """Return the entry points in the frame (mm), shape (n, 3): the first one of each sheet along the axis."""
+        """Return the first entry point of each run of entry points along x, in the frame (mm), shape (n, 3)."""
         is_entry, r = self.entry > 0, self.refinement
         is_entry[1:] &= self.entry[:-1] == 0
         points = np.argwhere(is_entry.transpose(1, 2, 0))[:, [2, 0, 1]]
@@ -230,10 +232,10 @@ def _growths(anatomy: Anatomy) -> Growths:
 
 def _tissues(anatomy: Anatomy, frame: SpaceFrame) -> tuple[NDArray[np.uint8], tuple[float, ...]]:
     curvature = anatomy.regions.curvature
-    radii = (anatomy.file.needle.curvature_radius_mm, *(each.radius_mm for each in curvature))
+    radii = (anatomy.file.needle.curvature_radius_mm, *(tissue.radius_mm for tissue in curvature))
     numbers = np.zeros(65536, np.uint8)
-    for place, each in enumerate(curvature, start=1):
-        numbers[anatomy.numbers((each.label,))] = place
+    for place, tissue in enumerate(curvature, start=1):
+        numbers[anatomy.numbers((tissue.label,))] = place
     tissues = nearest_labels(anatomy.volume, numbers[anatomy.volume.labels], frame, 0)
     return tissues, radii
 
@@ -243,7 +245,7 @@ def _mistakes(anatomy: Anatomy, grids: list[AnatomyGrid]) -> list[Mistake]:
     from scipy import ndimage
 
     regions, frame, entry = anatomy.regions, grids[0].frame, grids[0].entry
-    found = []
+    mistakes = []
     smaller = [f"a margin below {regions.largest_margin_mm:g} mm"] if regions.largest_margin_mm > 0 else []
     hint = f"take {' or '.join([*smaller, f'a spacing below {frame.spacing_mm:g} mm'])}"
     aims = list(zip(regions.aim_keys, (aim.region for aim in regions.aims), grids, strict=True))
@@ -251,16 +253,16 @@ def _mistakes(anatomy: Anatomy, grids: list[AnatomyGrid]) -> list[Mistake]:
     for key, region, there in (*places, ("entry", regions.entry_text, entry)):
         if not there.any():
             rule = f"no voxel of the lattice lies in it, apart from obstacles, their margin and outside: {hint}"
-            found.append(Mistake(f"anatomy.{key}", str(region), rule))
-    if found:
-        return found
+            mistakes.append(Mistake(f"anatomy.{key}", str(region), rule))
+    if mistakes:
+        return mistakes
     bodies, _ = ndimage.label(grids[0].codes != OUTSIDE, structure=np.ones((3, 3, 3)))
     for key, region, grid in aims:
         if not {*np.unique(bodies[entry > 0])} & {*np.unique(bodies[grid.codes == TARGET])}:
             if regions.targets:
                 rule = "lies in another body than anatomy.entry: labels in anatomy.outside separate them"
-                found.append(Mistake(f"anatomy.{key}", str(region), rule))
+                mistakes.append(Mistake(f"anatomy.{key}", str(region), rule))
             else:
                 rule = "lies in another body than anatomy.target: labels in anatomy.outside separate them"
-                found.append(Mistake("anatomy.entry", regions.entry_text, rule))
-    return found
+                mistakes.append(Mistake("anatomy.entry", regions.entry_text, rule))
+    return mistakes

@@ -101,7 +101,7 @@ def read_labels(file: Path) -> LabelVolume:
 
 def require_libraries(source: str) -> None:
     """Raise ScenarioError if the libraries for volumes are not installed."""
-    if any(importlib.util.find_spec(each) is None for each in ("nibabel", "nrrd")):
+    if any(importlib.util.find_spec(library) is None for library in ("nibabel", "nrrd")):
         rule = "volumes need nibabel and pynrrd: install them with `pip install needleplan[volumes]`"
         raise ScenarioError(rule, source)
 

@@ -44,9 +44,10 @@ def _ordered(low_mm: tuple[float, ...] | None, high_mm: tuple[float, ...] | None
 class SpaceLimits(ConfigTable, key="limits", error=ScenarioError, between=(_both, _ordered)):
     """Limits that an entry keeps.
 
-    `insertion_mm`: greatest length of the path without noise. `toward`, `toward_deg`: the direction of the entry lies
-    in this cone about a direction in RAS. `low_mm`, `high_mm`, `half_spaces`: the entry point lies in the workspace of
-    the robot, a box and half-spaces in RAS mm.
+    - `insertion_mm`: greatest length of the path without noise.
+    - `toward`, `toward_deg`: the direction of the entry lies in this cone about a direction in RAS.
+    - `low_mm`, `high_mm`, `half_spaces`: the entry point lies in the workspace of the robot, a box and half-spaces in
+      RAS mm.
     """
 
     insertion_mm: float | None = ruled(Maybe(Number("mm", above=0, at_most=1000)), None)
@@ -62,8 +63,8 @@ class SpaceLimits(ConfigTable, key="limits", error=ScenarioError, between=(_both
             yield "limits.low_mm", np.asarray((points_mm >= self.low_mm).all(-1))
         if self.high_mm is not None:
             yield "limits.high_mm", np.asarray((points_mm <= self.high_mm).all(-1))
-        for number, each in enumerate(self.half_spaces, start=1):
-            yield f"limits.half_spaces {number}", points_mm @ np.array(each.normal) <= each.at_most_mm
+        for number, half_space in enumerate(self.half_spaces, start=1):
+            yield f"limits.half_spaces {number}", points_mm @ np.array(half_space.normal) <= half_space.at_most_mm
 
     def permits(self, directions: NDArray[np.float64]) -> NDArray[np.bool_]:
         """Return which unit vectors in RAS, shape (n, 3), lie in the cone about `toward`; all without one."""

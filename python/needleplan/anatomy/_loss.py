@@ -75,7 +75,7 @@ def lattice_loss(
     distances : FileDistances
         Distances of the voxels of the file to the obstacles.
     farthest_mm : float
-        Largest distance to obstacles of the file at which the lattice can have an obstacle.
+        Largest distance from the obstacles of the file at which a voxel of the lattice can be an obstacle.
     """
     if not distances.distances_mm.size:
         return LatticeLoss(0.0, 0.0, 0.0)
@@ -91,7 +91,7 @@ def lattice_loss(
     random, shape = np.random.default_rng(0), np.array(part.shape)
     places = random.random((_POINTS, 3)) * shape - 0.5
     known = part[tuple(np.floor(places + 0.5).astype(np.int64).T)]
-    found, within = codes(places)
+    file_codes, within = codes(places)
 
     def share(of: NDArray[np.bool_], wrong: NDArray[np.bool_]) -> float:
         return float(wrong[of & within].mean()) if (of & within).any() else 0.0
@@ -103,8 +103,8 @@ def lattice_loss(
     at_middle, within_lattice = codes(middles)
     closed_mm = widths_mm[(at_middle == OBSTACLE) & within_lattice]
     return LatticeLoss(
-        share((known & IS_OBSTACLE) > 0, (found == FREE) | (found == TARGET)),
-        share(is_free, found == OBSTACLE),
+        share((known & IS_OBSTACLE) > 0, (file_codes == FREE) | (file_codes == TARGET)),
+        share(is_free, file_codes == OBSTACLE),
         float(closed_mm.max(initial=0.0)),
     )
 

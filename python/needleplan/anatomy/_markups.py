@@ -73,7 +73,7 @@ def _of_list(text: str, source: str) -> Iterator[MarkedPoint]:
             if key.strip() == "CoordinateSystem":
                 system = value.strip()
             if key.strip() == "columns":
-                columns = [each.strip() for each in value.split(",")]
+                columns = [cell.strip() for cell in value.split(",")]
         elif line.strip():
             try:
                 row = dict(zip(columns, next(csv.reader([line])), strict=False))
@@ -91,7 +91,7 @@ def _point(system: str, label: str, position: Any, source: str) -> MarkedPoint:
     try:
         if not isinstance(position, list):
             raise TypeError
-        x, y, z = (float(each) for each in position)
+        x, y, z = (float(number) for number in position)
     except (OverflowError, TypeError, ValueError):
         raise ScenarioError(Mistake(label or "point", str(position)[:60], "must be three numbers"), source) from None
     if not all(map(math.isfinite, (x, y, z))):

@@ -66,17 +66,17 @@ def stem_of(file: Path) -> str:
 def read_structures(file: Path, tables: Mapping[str, Mapping[str, int]]) -> list[Structure]:
     """Return the structures of a segmentation file; some may have no voxels.
 
-    Names are those of the segments or of a NIfTI extension, else of the table in `tables` with the stem of the file or
-    of the only one, else a mask without other labels has the stem of its file. Raises ScenarioError if the file cannot
-    be read, or has several labels without names.
+    Names come from the segments or a NIfTI extension; else from the table in `tables` with the stem of the file, or
+    from the only table. Else a mask with one label has the stem of its file as its name. Raises ScenarioError if the
+    file cannot be read, or has several labels without names.
     """
     if file.name.lower().endswith(".dcm"):
-        found: list[Structure] = []
+        structures: list[Structure] = []
         for segment, matrix, mask in dicom_segments(file):  # one at a time, for the memory
-            if any(segment == each.name for each in found):
+            if any(segment == structure.name for structure in structures):
                 raise ScenarioError(Mistake("SegmentLabel", segment, "is the name of two segments"), str(file))
-            found += _structures([mask], matrix, {segment: (0, 1)}, str(file))
-        return found
+            structures += _structures([mask], matrix, {segment: (0, 1)}, str(file))
+        return structures
     if is_layered(file):
         layers, affine, layered = read_layers(file)
         return list(_structures(layers, affine, layered, str(file)))
@@ -113,7 +113,7 @@ def _structures(
     for name, (layer, label) in segments.items():
         inside = layers[layer] == label
         filled = [np.flatnonzero(inside.any(axis=tuple({0, 1, 2} - {axis}))) for axis in range(3)]
-        first, last = ([int(each[end]) if each.size else 0 for each in filled] for end in (0, -1))
+        first, last = ([int(indices[end]) if indices.size else 0 for indices in filled] for end in (0, -1))
         box = tuple(slice(a, b + 1) for a, b in zip(first, last, strict=True))
         ni, nj, nk = inside.shape
         yield Structure(name, source, affine, (ni, nj, nk), np.array(first), inside[box].copy(order="K"))

@@ -58,9 +58,10 @@ def read_nifti(path: Path) -> LabelVolume:
 
 
 def extension_names(path: Path) -> dict[str, int]:
-    """Return the labels by name that an extension of a NIfTI file states, as TotalSegmentator writes them.
+    """Return the label numbers by name from an extension of a NIfTI file, as TotalSegmentator writes it.
 
-    They are the elements `Label` of an XML text, with the attribute `Key`. Other files have none.
+    The extension is an XML text with elements `Label`, whose attribute `Key` is the number. Without it the result is
+    empty.
     """
     if not path.name.lower().endswith((".nii", ".nii.gz")):
         return {}
@@ -72,9 +73,9 @@ def extension_names(path: Path) -> dict[str, int]:
     except Exception as error:  # a damaged extension fails in its own way
         raise ScenarioError(f"has a damaged NIfTI extension: {error}", str(path)) from None
     texts = [extension.get_content() for extension in extensions]
-    texts = [each if isinstance(each, bytes) else str(each).encode() for each in texts]
-    found = [match for text in texts for match in _NAME.findall(text)]
-    return {name.decode("utf-8", "replace").strip(): int(key) for key, name in found}
+    texts = [text if isinstance(text, bytes) else str(text).encode() for text in texts]
+    matches = [match for text in texts for match in _NAME.findall(text)]
+    return {name.decode("utf-8", "replace").strip(): int(key) for key, name in matches}
 
 
 def nifti_bytes(volume: LabelVolume) -> bytes:

@@ -79,7 +79,7 @@ def read_layers(path: Path) -> tuple[list[np.ndarray], np.ndarray, dict[str, tup
     """
     source = str(path)
     values, affine, header = _listed(path, ("list",), "layers")
-    layers = [whole_labels(each, source) for each in values]
+    layers = [whole_labels(layer, source) for layer in values]
     segments = {}
     for name, label in _names(header, source).items():
         keys = (key for key, text in header.items() if re.fullmatch(r"Segment\d+_Name", key) and text == name)

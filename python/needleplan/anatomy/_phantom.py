@@ -54,12 +54,12 @@ class _Canvas:
 
     def tube(self, corners: list[tuple[float, ...]], radius: float) -> NDArray[np.bool_]:
         """Return the voxels in a tube about the line through `corners`."""
-        found = np.zeros(self.labels.shape, bool)
+        inside = np.zeros(self.labels.shape, bool)
         for start, end in zip(np.array(corners[:-1]), np.array(corners[1:]), strict=True):
             along = end - start
             share = np.clip((self.points - start) @ along / (along @ along), 0, 1)[..., None]
-            found |= np.linalg.norm(self.points - start - share * along, axis=-1) <= radius
-        return found
+            inside |= np.linalg.norm(self.points - start - share * along, axis=-1) <= radius
+        return inside
 
     def paint(self, label: int, where: NDArray[np.bool_], on: NDArray[np.bool_] | None = None) -> None:
         """Set the label of voxels, if given only of those in `on`."""

@@ -42,7 +42,7 @@ def obstacle_distances(anatomy: Anatomy, points_mm: NDArray[np.float64]) -> dict
     high = np.clip(np.ceil(index.max(0) + _FAR_MM / sizes) + 1, 0, volume.labels.shape).astype(np.int64)
     part = volume.labels[tuple(slice(a, b) for a, b in zip(low, high, strict=True))]
     # In voxel axes with their sizes, voxels are boxes along the axes.
-    points, found = (index - low) * sizes, {}
+    points, nearest_mm = (index - low) * sizes, {}
     for label, number in zip(regions.obstacles, anatomy.numbers(regions.obstacles), strict=True):
         centers = np.argwhere(part == number) * sizes
         if not len(centers):
@@ -51,9 +51,9 @@ def obstacle_distances(anatomy: Anatomy, points_mm: NDArray[np.float64]) -> dict
         nearest, _ = tree.query(points)
         # The nearest box has its centre at most a diagonal farther than the nearest centre.
         reach = float(np.min(nearest) + np.linalg.norm(sizes))
-        near = [np.array(each, np.int64) for each in tree.query_ball_point(points, reach)]
-        apart = np.concatenate([abs(centers[each] - point) for point, each in zip(points, near, strict=True)])
+        near = [np.array(indices, np.int64) for indices in tree.query_ball_point(points, reach)]
+        apart = np.concatenate([abs(centers[indices] - point) for point, indices in zip(points, near, strict=True)])
         distance = float(np.linalg.norm(np.maximum(apart - sizes / 2, 0), axis=-1).min())
         if distance <= _FAR_MM:
-            found[str(label)] = distance
-    return dict(sorted(found.items(), key=lambda each: each[1]))
+            nearest_mm[str(label)] = distance
+    return dict(sorted(nearest_mm.items(), key=lambda item: item[1]))

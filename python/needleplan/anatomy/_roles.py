@@ -14,7 +14,7 @@ __all__ = ["StructureRole", "role_by_name"]
 
 
 class StructureRole(StrEnum):
-    """What a structure is for a plan."""
+    """Role of a structure in a plan."""
 
     TARGET = "target"
     """What the tip must reach."""
@@ -76,5 +76,5 @@ def role_by_name(name: str) -> tuple[StructureRole, str]:
     obstacle - a vessel or part of the heart
     """
     words = re.sub(r"[\W_]+", " ", name.lower())
-    found = ((role, reason) for role, pattern, reason in _ROLES if re.search(pattern, words))
-    return next(found, (StructureRole.OBSTACLE, "an unknown name"))
+    matches = ((role, reason) for role, pattern, reason in _ROLES if re.search(pattern, words))
+    return next(matches, (StructureRole.OBSTACLE, "an unknown name"))

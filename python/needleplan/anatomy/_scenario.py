@@ -88,12 +88,12 @@ class SpaceScenario:
         "target". Raises the ScenarioErrors of `grid_of`.
         """
         file, regions = anatomy.file, anatomy.file.anatomy
-        found = {}
+        scenarios = {}
         for aim, grid in zip(regions.aims, grids_of(anatomy), strict=True):
             of_target = replace(regions, target=aim.region, targets=())
             title = f"{file.title}: {aim.name}" if regions.targets else file.title
-            found[aim.name] = cls(replace(file, anatomy=of_target, title=title), grid, anatomy.source)
-        return found
+            scenarios[aim.name] = cls(replace(file, anatomy=of_target, title=title), grid, anatomy.source)
+        return scenarios
 
     @property
     def title(self) -> str:
@@ -231,10 +231,12 @@ class SpaceScenario:
     def rescaled(self, factor: float) -> SpaceScenario:
         """Return the scenario with all curvatures multiplied by `factor`. Raises ScenarioError for invalid radii."""
         needle, regions = self.needle, self.file.anatomy
-        curvature = tuple(replace(each, radius_mm=each.radius_mm / factor) for each in regions.curvature)
+        curvature = tuple(replace(tissue, radius_mm=tissue.radius_mm / factor) for tissue in regions.curvature)
         file = replace(
             self.file,
             needle=replace(needle, curvature_radius_mm=needle.curvature_radius_mm / factor),
             anatomy=replace(regions, curvature=curvature),
         )
-        return SpaceScenario(file, replace(self.grid, radii_mm=tuple(each / factor for each in self.grid.radii_mm)))
+        return SpaceScenario(
+            file, replace(self.grid, radii_mm=tuple(radius_mm / factor for radius_mm in self.grid.radii_mm))
+        )

@@ -25,10 +25,11 @@ __all__ = ["TargetBody"]
 
 @dataclass(frozen=True, eq=False)
 class TargetBody:
-    """A target in a frame.
+    """The volume of a target in a frame.
 
-    `ball`: centre and radius (mm), shape (4,); None if the target is a label. Then a point p lies in voxel
-    floor(`rows` (p, 1)) of `inside`, which is 1 in the target: shapes (3, 4) and (a, b, c).
+    `ball`: centre and radius (mm), shape (4,); None if the target is a label. For a label, `inside`, shape (a, b, c),
+    is 1 in the voxels of the target, and `rows`, shape (3, 4), leads from a point p (mm) to the indices floor(`rows`
+    (p, 1)) of its voxel.
     """
 
     ball: tuple[float, float, float, float] | None
@@ -87,7 +88,7 @@ class TargetBody:
         return cls(None, np.column_stack([linear, offset]), np.ascontiguousarray(cropped, np.uint8))
 
     def moved(self, corner_mm: NDArray[np.float64]) -> TargetBody:
-        """Return the target in the frame whose origin is at a point of this one."""
+        """Return the target in a frame with its origin at the point `corner_mm` of this frame."""
         if self.ball is not None:
             x, y, z = (np.array(self.ball[:3]) - corner_mm).tolist()
             return replace(self, ball=(x, y, z, self.ball[3]))

@@ -30,7 +30,7 @@ _SQUARE = 1e-6
 
 
 def pose_matrix(position_mm: Sequence[float], direction: Sequence[float]) -> NDArray[np.float64]:
-    """Return the matrix that places a needle, whose tip is at the origin and points along +x.
+    """Return the rigid motion that moves a needle model to a pose; its tip is at the origin, and it points along +x.
 
     Parameters
     ----------
@@ -61,19 +61,19 @@ def pose_matrix(position_mm: Sequence[float], direction: Sequence[float]) -> NDA
 
 
 def transform_bytes(to_ras: ArrayLike, ending: str) -> bytes:
-    """Return a transform file.
+    """Return the bytes of a transform file for 3D Slicer and ITK.
 
     Parameters
     ----------
     to_ras : array
-        Homogeneous matrix of a rigid motion, shape (4, 4), that maps points of what is moved to RAS (mm).
+        Homogeneous matrix of a rigid motion, shape (4, 4), from the coordinates of an object to RAS (mm).
     ending : str
         `.tfm` or `.h5`.
 
     Returns
     -------
     bytes
-        The file. Under this transform, 3D Slicer shows things at their place in RAS.
+        The file. Under this transform, 3D Slicer shows the object at its place in RAS.
 
     Raises
     ------

@@ -97,7 +97,7 @@ class LabelVolume:
         return np.asarray((np.asarray(world_mm, np.float64) - self.affine[:3, 3]) @ inverse.T)
 
     def near(self, points_mm: NDArray[np.float64], more_mm: float) -> tuple[NDArray[np.int64], tuple[slice, ...]]:
-        """Return the voxels of the box about points that is larger by a length on each side.
+        """Return the box of voxels that contains points with a margin `more_mm` on each side.
 
         Parameters
         ----------

@@ -62,7 +62,7 @@ _ENTERED = 4
 
 @dataclass(frozen=True, eq=False)
 class Growths:
-    """How far the obstacles of a file are grown: the kind of each voxel, 0 for none, and the mm of each other kind."""
+    """Growth of obstacles: `kinds` of the voxels (0: none), and the growth (mm) of the kinds 1, 2 and so on."""
 
     kinds: NDArray[np.uint8]
     growths_mm: tuple[float, ...]
@@ -91,24 +91,24 @@ def lattice_voxels(
             labels[target] = number
     codes = labels[volume.labels]
     codes[(meaning & IS_OUTSIDE) > 0] = OUTSIDE
-    found, size = _rasterized(volume, codes, growths, frame, refinement), frame.spacing_mm / refinement
-    return [_aimed(volume, found, number, target, frame, size)
+    lattice, size = _rasterized(volume, codes, growths, frame, refinement), frame.spacing_mm / refinement
+    return [_aimed(volume, lattice, number, target, frame, size)
             for number, target in enumerate(targets, start=_FIRST_TARGET)]  # fmt: skip
 
 
 def _aimed(
     volume: LabelVolume,
-    found: NDArray[np.uint8],
+    lattice: NDArray[np.uint8],
     number: int,
     target: int | Sphere,
     frame: SpaceFrame,
     size_mm: float,
 ) -> NDArray[np.uint8]:
-    """Return the codes of the voxels of a lattice for one target, a ball or the label with `number` in `found`."""
+    """Return the codes of the voxels of a lattice for one target, a ball or the label with `number` in `lattice`."""
     meanings = np.arange(256, dtype=np.uint8)
     meanings[_FIRST_TARGET:] = FREE
     meanings[number] = TARGET
-    aimed = meanings[found]
+    aimed = meanings[lattice]
     if isinstance(target, Sphere):
         _mark_ball(frame.local(target.center_mm), target.radius_mm, size_mm, aimed)
     if not (aimed == TARGET).any():
@@ -123,11 +123,11 @@ def _aimed(
     return aimed
 
 
-def _mark_ball(center_mm: NDArray[np.float64], radius_mm: float, size_mm: float, found: NDArray[np.uint8]) -> None:
+def _mark_ball(center_mm: NDArray[np.float64], radius_mm: float, size_mm: float, lattice: NDArray[np.uint8]) -> None:
     """Make the free voxels of a lattice with their centre in a ball the target."""
-    low = np.clip(np.floor((center_mm - radius_mm) / size_mm), 0, found.shape).astype(np.int64)
-    high = np.clip(np.ceil((center_mm + radius_mm) / size_mm) + 1, 0, found.shape).astype(np.int64)
-    box = found[tuple(slice(a, b) for a, b in zip(low, high, strict=True))]
+    low = np.clip(np.floor((center_mm - radius_mm) / size_mm), 0, lattice.shape).astype(np.int64)
+    high = np.clip(np.ceil((center_mm + radius_mm) / size_mm) + 1, 0, lattice.shape).astype(np.int64)
+    box = lattice[tuple(slice(a, b) for a, b in zip(low, high, strict=True))]
     axes = np.meshgrid(*[np.arange(a, b) * size_mm for a, b in zip(low, high, strict=True)], indexing="ij")
     box[(box == FREE) & (np.linalg.norm(np.stack(axes, -1) - center_mm, axis=-1) <= radius_mm)] = TARGET
 
@@ -158,10 +158,10 @@ def possible_cells(
     known[reached((padded & (IS_OBSTACLE | IS_OUTSIDE)) == 0)] = FREE
     is_entered = reached((padded & IS_ENTRY) > 0)
     for target in targets:
-        found = known.copy()
-        found[reached(np.pad(target, around))] = TARGET
-        found[is_entered] |= _ENTERED
-        yield found
+        codes = known.copy()
+        codes[reached(np.pad(target, around))] = TARGET
+        codes[is_entered] |= _ENTERED
+        yield codes
 
 
 def possible_codes(possible: NDArray[np.uint8]) -> NDArray[np.uint8]:

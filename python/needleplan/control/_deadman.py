@@ -29,7 +29,7 @@ _KEY_EVENT, _RELEASED = 1, 0
 
 
 class KeyDeadman(Deadman):
-    """A key of the terminal on standard input. Terminals report keys, not releases, so the key must repeat.
+    """A key of the terminal on standard input. A terminal does not report releases, so the key must repeat.
 
     The switch counts as held from the first repetition, which a terminal sends about 0.5 s after the key, until 0.15 s
     after the last one. A tap does not hold it. Raises DeviceFault if standard input is no terminal.

@@ -21,7 +21,7 @@ _SAMPLES = 2000
 
 @dataclass(frozen=True)
 class BreathGate:
-    """When breathing leaves the tissue where the plan has it.
+    """Times at which breathing leaves the tissue near its place in the plan.
 
     Parameters
     ----------
@@ -43,8 +43,8 @@ class BreathGate:
     >>> from needleplan.control import BreathGate
     >>> gate = BreathGate(Breathing(full_mm=15.0, still=("bone",)), within_mm=2.0)
     >>> wait_s, open_s = gate.window(2.0)  # at full inspiration
-    >>> round(wait_s, 2), round(open_s, 2)
-    (1.17, 1.66)
+    >>> round(wait_s, 1), round(open_s, 1)
+    (1.2, 1.7)
     """
 
     breathing: Breathing

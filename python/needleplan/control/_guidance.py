@@ -32,7 +32,7 @@ Position = Sequence[float]
 
 
 class Segment(NamedTuple):
-    """Part of a step: the roll of the base (rad; None: the present one), then an insertion by a length (mm)."""
+    """Part of a step: a rotation of the base to a roll (rad; None: no rotation), then an insertion by a length (mm)."""
 
     roll_rad: float | None
     length_mm: float
@@ -53,7 +53,7 @@ def straight_arcs(
 
 
 class RunStart(NamedTuple):
-    """First answer of the plan: points of the planned path [n, 2 or 3] (mm), roll of the base, and why not to begin.
+    """First answer of a plan: its path (mm), shape (n, 2) or (n, 3), the roll of the base, and a reason not to begin.
 
     `roll_rad` is None if the base need not roll at the entry, `refused` is None if the run may begin.
     """
@@ -142,7 +142,7 @@ class PlanGuidance(ABC):
 
     @abstractmethod
     def mismatch(self, needle: NeedleState, pose: Pose | SpacePose) -> tuple[float, float, float]:
-        """Return the expected curvature up to the target, its standard deviation, and the planned curvature (1/mm)."""
+        """Return the expected mean curvature up to the target, its standard deviation, and the planned one (1/mm)."""
 
     @abstractmethod
     def rescaled(self, factor: float, pose: Pose | SpacePose) -> Scenario | SpaceTask:

@@ -168,8 +168,8 @@ class NeedleState:
     def attend(self) -> None:
         """Wait at most 20 ms for a stage sample and call the guard's `tick`, after the end of a run.
 
-        Faults of devices are ignored: the guard knows them, and a retraction goes on in spite of them. Where the feed
-        has ended, the stage is measured directly.
+        Faults of devices are ignored: the guard knows them, and a retraction goes on in spite of them. After the end of
+        the feed, the stage is measured directly.
         """
         try:
             if self._feed is None or self._guard.stage_has_failed:

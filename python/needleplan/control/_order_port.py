@@ -22,7 +22,7 @@ __all__ = ["OrderPort", "send_order"]
 _TURN_S, _LOOK_S = 0.1, 0.005
 # time (s) after `motion_s` for which rest is awaited
 _MORE_S = 1.0
-_ORDERS = {str(each): each for each in (Order.PAUSE, Order.RESUME)}
+_ORDERS = {str(order): order for order in (Order.PAUSE, Order.RESUME)}
 
 
 _PORT = 5005  # port of a robot without one in its address

@@ -83,10 +83,10 @@ class PlaneGuidance(PlanGuidance):
         if approach.done(pose):
             return StepChoice(pose, end=self._arrived(pose, tip))
         if decision is not None and hopeless:
-            beside = approach.beside(pose)
-            if beside is None:
+            last_step = approach.beside(pose)
+            if last_step is None:
                 return StepChoice(pose, end=self._given_up(pose, decision))
-            turned, length, last = beside[0], beside[1], True
+            turned, length, last = last_step[0], last_step[1], True
         else:
             turned = pose._replace(bevel=-pose.bevel) if rotates else pose
             bent = replace(approach, curvature_per_mm=left * approach.curvature_per_mm) if straight else approach
@@ -123,7 +123,7 @@ class PlaneGuidance(PlanGuidance):
         return tip.z_mm
 
     def mismatch(self, needle: NeedleState, pose: Pose | SpacePose) -> tuple[float, float, float]:
-        """Return expected curvature (1/mm) on the way to the target, its standard deviation, and the planned one."""
+        """Return the expected mean curvature up to the target, its standard deviation, and the planned one (1/mm)."""
         planned = 1 / self.scene.radius_mm(pose.x_mm, pose.y_mm)
         return *needle.curvature_ahead(self.scene.target_distance_mm(pose.x_mm, pose.y_mm)), planned
 
@@ -167,7 +167,7 @@ class PlaneGuidance(PlanGuidance):
         tip, bevel = needle.tip, needle.bevel
         x, y, heading = tip.x_mm, tip.y_mm, tip.heading_rad
         if abs(left_mm) > 1e-6:
-            x, y, heading = (float(each) for each in arc_step(x, y, heading, bevel * in_plane_per_mm(tip), left_mm))
+            x, y, heading = (float(number) for number in arc_step(x, y, heading, bevel * in_plane_per_mm(tip), left_mm))
         return Pose.wound((*self.scene.clamped(x, y), heading, bevel))
 
     def _given_up(self, pose: Pose, decision: Decision) -> RunEnd:

@@ -121,9 +121,9 @@ def measured_entry(
 def require_expected(entry: tuple[float, ...], path_mm: float, options: Options) -> None:
     """Raise PoseError if the needle is not at its entry before the first motion.
 
-    `path_mm` is the depth of the stage beyond the entry depth. More than `start_within_mm` before or behind the entry,
-    the zero of the stage is wrong or the needle is not where the table begins; the loop would then drive the needle
-    inward without a plan. `entry` (x_mm, y_mm, heading_rad ...) is the measured entry. It must be close to the
+    `path_mm` is the depth of the stage beyond the entry depth. If it is farther from 0 than `start_within_mm`, the zero
+    of the stage is wrong, or the needle is not where the table begins; the loop would then drive the needle inward
+    without a plan. `entry` (x_mm, y_mm, heading_rad ...) is the measured entry. It must be close to the
     `expected_start` of the options; without an `expected_start`, every entry is accepted.
     """
     if not abs(path_mm) <= options.start_within_mm:

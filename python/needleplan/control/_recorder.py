@@ -163,8 +163,8 @@ class RunRecorder(Listener, Closing):
 
     def safety(self, event: SafetyEvent) -> None:
         """Record an event of the guard; NaN and infinite values become null."""
-        values = {name: each if not isinstance(each, float) or math.isfinite(each) else None
-                  for name, each in event.entry().items()}  # fmt: skip
+        values = {name: value if not isinstance(value, float) or math.isfinite(value) else None
+                  for name, value in event.entry().items()}  # fmt: skip
         self._topics["/safety"].put(event.time_ns, values)
 
     def status(self) -> RecorderStatus | None:

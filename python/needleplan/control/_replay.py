@@ -253,7 +253,7 @@ class _Comparing(Listener):
 
 
 def replay(recording: Recording, table: Table, table_set: TableSet | None = None) -> ReplayComparison:
-    """Run the loop on the samples of a recording, and compare decisions, commands and outcome with the recorded ones.
+    """Run the loop on recorded samples, and compare its decisions, commands and outcome with the recording.
 
     The outcome is not compared if the recorded run was stopped or failed, because its samples end too early. Recorded
     commands that the replay does not reach are not reported.

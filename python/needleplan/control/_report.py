@@ -28,7 +28,7 @@ __all__ = [
 
 
 class InsertionOutcome(StrEnum):
-    """Outcome of an insertion. With each, the guard has sent a stop; `InsertionReport.rest` tells what it did."""
+    """Outcome of an insertion. The guard has sent a stop; `InsertionReport.rest` tells whether the needle rests."""
 
     TARGET = "target"
     MISSED = "missed"
@@ -60,8 +60,8 @@ class InsertionOutcome(StrEnum):
 class SpaceErrors:
     """Errors of the tip in 3D, relative to the end of the planned path.
 
-    - `lateral_mm`: the part across the planned direction of the vector from the centre of the target to the tip, in RAS
-    - `along_mm`: the part along it, positive if the tip is too deep
+    - `lateral_mm`: vector from the centre of the target to the tip, its part across the planned direction, in RAS
+    - `along_mm`: part of this vector along the planned direction, positive if the tip is too deep
     - `direction_rad`: angle between the directions of the tip and of the end of the planned path
     """
 
@@ -174,7 +174,7 @@ class InsertionReport:
             "turns": self.turns, "replans": self.replans, "largest_force_n": self.largest_force_n,
             "duration_s": self.duration_s, "predicted_success": self.predicted_success,
             "tip": None if tip is None else vars(tip), "table": self.table_digest,
-            "slowest_decision_s": max((each.latency_s for each in self.steps), default=math.nan),
+            "slowest_decision_s": max((step.latency_s for step in self.steps), default=math.nan),
             **({} if self.space is None else {"space": vars(self.space)}),
         }  # fmt: skip
 
@@ -202,7 +202,7 @@ class InsertionTrace(Listener):
         now = sample.stamp.received_ns
         self._span_ns = (self._span_ns[0] if self._span_ns else now, now)
         if isinstance(sample, ForceSample):
-            along = sum(each * axis for each, axis in zip(sample.force_n, self._axis, strict=True))
+            along = sum(component * axis for component, axis in zip(sample.force_n, self._axis, strict=True))
             self._force_n = along
             self.largest_force_n = max(self.largest_force_n, abs(along))
 
@@ -237,8 +237,8 @@ class InsertionTrace(Listener):
             along, off, np.array(self.forces, float).reshape(-1, 2), self.last, errors.error_mm,
             errors.out_of_plane_mm, errors.error_in_space_mm, errors.beyond_rim_mm,
             float(off.max(initial=0.0)), aside, inserted_mm,
-            sum(each.action is Action.ROTATE for each in self.steps),
-            sum(each.name is RunEventName.TABLE_SWAPPED for each in self.events), self.largest_force_n,
+            sum(step.action is Action.ROTATE for step in self.steps),
+            sum(event.name is RunEventName.TABLE_SWAPPED for event in self.events), self.largest_force_n,
             (end - begin) * 1e-9, self.steps[0].success if self.steps else math.nan, digest, errors.space,
         )  # fmt: skip
 
@@ -262,11 +262,11 @@ def path_distances_mm(line_mm: Array, points_mm: Array) -> Array:
         return np.zeros(len(points_mm))
     begin, way = line_mm[:-1], np.diff(line_mm, axis=0)
     squares = np.maximum((way**2).sum(axis=1), 1e-300)
-    found = np.empty(len(points_mm))
+    nearest_mm = np.empty(len(points_mm))
     for number, point in enumerate(points_mm):
         share = np.clip(((point - begin) * way).sum(axis=1) / squares, 0.0, 1.0)
-        found[number] = np.linalg.norm(begin + share[:, None] * way - point, axis=1).min()
-    return found
+        nearest_mm[number] = np.linalg.norm(begin + share[:, None] * way - point, axis=1).min()
+    return nearest_mm
 
 
 def _prolonged(line_mm: Array, length_mm: float) -> Array:

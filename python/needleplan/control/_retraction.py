@@ -56,7 +56,7 @@ class RetractionReport:
 
 
 def open_stage_patiently(address: str, wait_s: float, on_wait: Callable[[str], None]) -> Stage:
-    """Open the stage at an address, and try again while it cannot be used.
+    """Open the stage at an address; repeat failed attempts until `wait_s` has passed.
 
     After a crash of its controller, a robot accepts another one only after some seconds.
 

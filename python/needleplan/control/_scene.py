@@ -192,12 +192,12 @@ class ScenarioGeometry:
     def _obstacles(self) -> list[tuple[str, BaseGeometry]]:
         from shapely import prepare
 
-        found: list[tuple[str, BaseGeometry]] = []
-        for number, each in enumerate(self.scenario.obstacles, start=1):
-            polygon = each.region()
+        polygons: list[tuple[str, BaseGeometry]] = []
+        for number, obstacle in enumerate(self.scenario.obstacles, start=1):
+            polygon = obstacle.region()
             prepare(polygon)
-            found.append((each.name or f"obstacle {number}", polygon))
-        return found
+            polygons.append((obstacle.name or f"obstacle {number}", polygon))
+        return polygons
 
 
 def state_of(scenario: Scenario, pose: Pose) -> tuple[int, int, int, int]:
@@ -268,7 +268,7 @@ class Approach:
         """
         if not self.near(pose):
             return None
-        best = min((pose, pose._replace(bevel=-pose.bevel)), key=lambda each: self.closest(each)[1])
+        best = min((pose, pose._replace(bevel=-pose.bevel)), key=lambda sided: self.closest(sided)[1])
         along, distance = self.closest(best)
         gain = self.scene.target_distance_mm(pose.x_mm, pose.y_mm) - distance
         bend = best.bevel * self.curvature_per_mm

@@ -131,7 +131,7 @@ class SpaceGuidance(PlanGuidance):
         return 0.0
 
     def mismatch(self, needle: NeedleState, pose: Pose | SpacePose) -> tuple[float, float, float]:
-        """Return the expected curvature up to the target, its standard deviation, and the planned curvature (1/mm)."""
+        """Return the expected mean curvature up to the target, its standard deviation, and the planned one (1/mm)."""
         assert isinstance(pose, SpacePose)
         return *needle.curvature_ahead(self._distance_mm(pose)), self._scenario.planned_per_mm(*pose.position_mm)
 

@@ -20,7 +20,7 @@ _Reading = Future[Table]
 
 
 class TableSetReplanner(Replanner):
-    """Replanner that first returns the table of a table set with the nearest curvature, then a newly computed table.
+    """Replanner that first returns the stored table with the nearest curvature, then a newly computed table.
 
     The stored table is used only if its curvature is nearer to the asked one than that of the present table. A thread
     reads the tables and verifies their digests. It begins when the replanner is made, with the curvatures nearest to
@@ -35,8 +35,7 @@ class TableSetReplanner(Replanner):
     fresh : Replanner
         Computes the new table.
     wait : bool
-        Whether the first decision after a request waits for the stored table, and makes this decision by it, as
-        simulated time needs it.
+        Whether the first decision after a request waits for the stored table and uses it. Simulated time needs this.
     at : iterable of int, optional
         Numbers of the decisions at which a stored table is returned, as in a recording. Default: as soon as it is read.
     tell : callable, optional

@@ -42,7 +42,7 @@ _NEVER_S = 5.0  # time (s) after which a STOP counts as missing
 
 @dataclass(frozen=True)
 class Promptness:
-    """What was measured: median, 99.9 % and largest time (ms), and the number of times, of stops and of heartbeats."""
+    """Measured times (ms) of stops and of heartbeats: median, 99.9 % quantile, largest, and number."""
 
     host: str
     priority: str
@@ -59,12 +59,12 @@ class Promptness:
     @property
     def limits(self) -> tuple[tuple[str, float, float, bool], ...]:
         """Each limit: its name, the largest measured time (ms), the limit (ms), and whether it holds."""
-        found = (
+        checked = (
             ("heartbeat gap", self.gap_ms[2], 1e3 * _LONGEST_GAP_S),
             ("sample to STOP", self.stop_ms[2], 1e3 * _LONGEST_STOP_S),
         )
         complete = self.stops > 0 and not self.missing
-        return tuple((name, value, limit, complete and value <= limit) for name, value, limit in found)
+        return tuple((name, value, limit, complete and value <= limit) for name, value, limit in checked)
 
     @property
     def holds(self) -> bool:
@@ -212,7 +212,7 @@ class _Program(Closing):
 
 
 def measure_promptness(seconds: float, link: type[UdpLink] = UdpLink) -> Promptness:
-    """Measure this machine for a time (s), at least one try, and return what was measured.
+    """Measure the times of stops and heartbeats on this machine for a time (s), at least one try.
 
     `link` is the link of the program; with a subclass of UdpLink, Python keeps the socket.
     """
@@ -226,8 +226,8 @@ def measure_promptness(seconds: float, link: type[UdpLink] = UdpLink) -> Promptn
     busy = [threading.Thread(target=_spin, args=(ending,), daemon=True) for _ in range(2)]
     try:
         with _Program(link(*here.recv())) as program, short_turns(), Watchdog(program.guard):
-            for each in busy:
-                each.start()
+            for process in busy:
+                process.start()
             end_s = time.monotonic() + seconds
             while True:
                 program.begin()

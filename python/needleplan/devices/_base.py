@@ -43,7 +43,7 @@ _Quaternion = tuple[float, float, float, float]
 
 
 class Closing(ABC):
-    """Abstract base of everything that is closed by leaving its `with` block."""
+    """Abstract base of objects that close at the end of their `with` block."""
 
     @abstractmethod
     def close(self) -> None:
@@ -310,11 +310,11 @@ class PoseValidator:
             if step_mm > most_step_mm:
                 notes += (f"a step of {step_mm:.3g} mm",)
         health = Health.SUSPECT if notes else Health.GOOD
-        found = PoseSample(stamp, position_mm, quaternion, error_mm, health, notes)
+        sample = PoseSample(stamp, position_mm, quaternion, error_mm, health, notes)
         if last is None or math.fsum(map(float.__mul__, quaternion, last.quaternion)) >= 0:
-            return found
-        w, x, y, z = (-each for each in quaternion)
-        return replace(found, quaternion=(w, x, y, z))
+            return sample
+        w, x, y, z = (-component for component in quaternion)
+        return replace(sample, quaternion=(w, x, y, z))
 
 
 Sample = StageSample | ForceSample | PoseSample | FibreSample | ImageSample

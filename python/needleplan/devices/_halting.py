@@ -20,7 +20,7 @@ def halt(
     stage: Stage, within_s: float, on_alarm: Callable[[StopOutcome], object] | None = None, *,
     limits: StopLimits | None = None, clock: Clock | None = None,
 ) -> StopOutcome:  # fmt: skip
-    """Stop both axes of a stage without a guard until it is measured at rest, or a time has passed.
+    """Stop both axes of a stage that has no guard, until the stage is measured at rest or a time has passed.
 
     The stop is repeated while the needle moves. No heartbeat is sent once the needle moves in spite of the stop, so
     that the watchdog of the stage acts too.

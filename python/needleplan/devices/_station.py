@@ -134,17 +134,17 @@ class TurnFeed(Feed):
         """Return the next sample, or None after `timeout_s`. Raises the DeviceFault of any device."""
         waiting = self._waiting
         if not waiting:
-            found: list[Sample] = []
+            samples: list[Sample] = []
             for source, device in self._station.devices.items():
                 if source is Source.STAGE:
                     first = self._read(source, device, timeout_s)
-                    found += [first] if first is not None else []
+                    samples += [first] if first is not None else []
                     continue
                 while (sample := self._read(source, device, 0.0)) is not None:
-                    found.append(sample)
-            if len(found) > 1:
-                found.sort(key=_received)
-            waiting.extend(found)
+                    samples.append(sample)
+            if len(samples) > 1:
+                samples.sort(key=_received)
+            waiting.extend(samples)
         return waiting.popleft() if waiting else None
 
     def close(self) -> None:
@@ -169,12 +169,12 @@ class ThreadedFeed(Feed):
     def next(self, timeout_s: float) -> Sample | None:
         """Return the next sample, or None after `timeout_s`. Raises the DeviceFault of any device."""
         try:
-            found = self._queue.get(timeout=max(timeout_s, 0.0))
+            sample = self._queue.get(timeout=max(timeout_s, 0.0))
         except queue.Empty:
             return None
-        if isinstance(found, DeviceFault):
-            raise found
-        return found
+        if isinstance(sample, DeviceFault):
+            raise sample
+        return sample
 
     def close(self) -> None:
         """Stop the threads and wait for their end."""
@@ -276,7 +276,7 @@ def require_schemes(robot: str, force: str, tracker: str, *, also: Collection[st
     if wrong:
         raise AddressError(wrong)
     mistakes = [
-        Mistake(name, addresses[name], f"must begin with {', '.join(f'{each}://' for each in known[name])}")
+        Mistake(name, addresses[name], f"must begin with {', '.join(f'{scheme}://' for scheme in known[name])}")
         for name, scheme in schemes.items() if scheme not in known[name]
     ]  # fmt: skip
     if mistakes:

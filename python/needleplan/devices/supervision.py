@@ -32,11 +32,14 @@ class StageSupervisor(ABC):
 
     @abstractmethod
     def seen(self, stage_age_s: float) -> tuple[int, int, int, int]:
-        """Return the number of trips, causes and time of the last one, and causes by the age of the stage's samples."""
+        """Return the number of trips, the causes and time (ns) of the last trip, and the causes by old samples."""
 
     @abstractmethod
     def post(self, limits: SupervisedLimits, state: GuardNumbers, trips: int | None, times: SupervisedTimes) -> None:
-        """Post the state of the guard, decided after a number of trips (None: it counts always), and its inputs."""
+        """Post the state of the guard and the times of its inputs; `trips` is the number of trips that the guard knew.
+
+        The supervisor ignores a state that was decided before its last trip; None: the state always counts.
+        """
 
     @abstractmethod
     def tick(self) -> None:

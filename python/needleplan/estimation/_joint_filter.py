@@ -71,8 +71,8 @@ class FilterStep:
 class ScalarKalmanFilter(ExtendedKalmanFilter):  # type: ignore[misc]
     """Extended Kalman filter with a scalar measurement; the caller evaluates the nonlinear functions.
 
-    filterpy predicts linearly, F x; this class replaces the prediction by a given state. The update of filterpy is in
-    Joseph form, which keeps P symmetric and positive.
+    filterpy predicts the state as F x; this class takes a predicted state from the caller instead. The update of
+    filterpy is in Joseph form, which keeps P symmetric and positive.
     """
 
     x: Array
@@ -144,13 +144,14 @@ class JointFilter:
     state_sd
         Standard deviation of the initial state.
     settle
-        Number of masked samples after a reversal, for which the average of the sensor contains samples from before the
-        reversal. If it is above 0, samples at rest after a motion are masked too.
+        Number of samples after a reversal that are masked, because the average of the sensor contains samples from
+        before the reversal. If it is above 0, samples at rest after a motion are masked too.
     reach
         Largest distance of a coordinate from its value at the first sample of the first pass.
     limit
         Largest change of a coordinate in one sample: R is raised for a sample that would exceed this change. Without
-        `reach` and `limit`, a coordinate can reach values at which the output does not depend on it, and stay there.
+        `reach` and `limit`, a coordinate may reach values at which the output does not depend on the coordinate, and
+        stay there.
 
     Raises
     ------
@@ -197,7 +198,7 @@ class JointFilter:
 
     @property
     def diverged(self) -> bool:
-        """Whether the estimate or its covariance stopped being finite."""
+        """Whether the estimate or its covariance is no longer finite."""
         return self.counts[SampleUse.DIVERGED] > 0
 
     @property

@@ -48,7 +48,7 @@ class JointSystem(ABC):
         names a parameter that the model does not have.
         """
         known = model.parameters()
-        names = tuple(name for name, what in known.items() if what.free) if free is None else tuple(free)
+        names = tuple(name for name, parameter in known.items() if parameter.free) if free is None else tuple(free)
         unknown = [Mistake(name, "", f"must be one of {', '.join(known)}") for name in names if name not in known]
         if unknown:
             raise ModelError(unknown, model.name)
@@ -172,9 +172,10 @@ class JointForce(JointSystem):
     def released(self, model: Model, factor: float) -> Model:
         """Return the model with f1 away from its bound.
 
-        The start says that f1 is between f1/factor and f1 factor, and the bound b = max(0, -f2) says that f1 is above
-        b. If f1/factor is below b, the middle of what is left, on a logarithmic scale, is sqrt(b f1 factor). f1 - b is
-        moved there if it is more than a factor below, because the filter would not get there.
+        The true f1 is assumed to be between f1/factor and f1 factor, and above the bound b = max(0, -f2). If f1/factor
+        is below b, the middle of the remaining interval is sqrt(b f1 factor), on a logarithmic scale. f1 is moved to
+        this middle if f1 - b is smaller by more than the factor, because the filter would not reach the middle from
+        there.
         """
         f1, floor = model.values()["f1"], max(0.0, -model.values()["f2"])
         middle = max(f1, (floor * f1 * factor) ** 0.5)

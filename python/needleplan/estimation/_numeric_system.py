@@ -55,10 +55,10 @@ class NumericJointSystem(JointSystem):
         self._difference = difference
         self._what = [model.parameters()[name] for name in self.free]
         self._fields = {field.name: getattr(model, field.name) for field in fields(model)}
-        self._log = np.array([what.scale is Scale.LOG for what in self._what], bool)[:, None]
-        self._typical = np.array([what.typical for what in self._what])[:, None]
-        self._lower = np.array([what.lower for what in self._what])[:, None]
-        self._upper = np.array([what.upper for what in self._what])[:, None]
+        self._log = np.array([parameter.scale is Scale.LOG for parameter in self._what], bool)[:, None]
+        self._typical = np.array([parameter.typical for parameter in self._what])[:, None]
+        self._lower = np.array([parameter.lower for parameter in self._what])[:, None]
+        self._upper = np.array([parameter.upper for parameter in self._what])[:, None]
         self._checked = not at_once
         # Whether steps, and outputs, are computed for all points at once; None: not yet tried.
         self._steps_at_once: bool | None = None if at_once else False
@@ -70,7 +70,10 @@ class NumericJointSystem(JointSystem):
         self.states = state.size
         known = model.values()
         return np.array(
-            [*state, *(what.coordinate(known[name]) for name, what in zip(self.free, self._what, strict=True))]
+            [
+                *state,
+                *(parameter.coordinate(known[name]) for name, parameter in zip(self.free, self._what, strict=True)),
+            ]
         )
 
     def predict(self, x: Array, before: Motion, after: Motion) -> tuple[Array, Array]:
@@ -115,8 +118,8 @@ class NumericJointSystem(JointSystem):
         """Return x and the points beside it, shape (n, 2 n + 1), and the distances of opposite points, shape (n,)."""
         width = np.full(x.size, self._difference)
         width[: self.states] *= np.maximum(np.abs(x[: self.states]), 1e-3)
-        beside = np.diag(width)
-        return np.concatenate([x[:, None], x[:, None] + beside, x[:, None] - beside], axis=1), 2 * width
+        offsets = np.diag(width)
+        return np.concatenate([x[:, None], x[:, None] + offsets, x[:, None] - offsets], axis=1), 2 * width
 
     def _natural(self, coordinates: Array) -> Array:
         """Return the values of the free parameters, of the shape of the coordinates, (free, points)."""
@@ -129,16 +132,16 @@ class NumericJointSystem(JointSystem):
         if at_once is False:
             return self._one_by_one(points, values, function), False
         try:
-            found = np.asarray(function(self._unchecked(list(values)), points[: self.states]))
+            outputs = np.asarray(function(self._unchecked(list(values)), points[: self.states]))
         except NotImplementedError:
             return self._one_by_one(points, values, function), at_once
         except (TypeError, ValueError):
             return self._one_by_one(points, values, function), False
         if at_once is None:
             slow = self._one_by_one(points, values, function)
-            if found.shape != slow.shape or not np.allclose(found, slow, rtol=_SAME, atol=_SAME, equal_nan=True):
+            if outputs.shape != slow.shape or not np.allclose(outputs, slow, rtol=_SAME, atol=_SAME, equal_nan=True):
                 return slow, False
-        return found, True
+        return outputs, True
 
     def _one_by_one(self, points: Array, values: Array, function: Values) -> Array:
         columns = []

@@ -124,8 +124,8 @@ class ArcChain:
         def held(pose: Array) -> Array:
             return self.distance(np.concatenate([pose, fixed]))
 
-        found = least_squares(held, [0.0, 0.0], xtol=1e-10)
-        return np.concatenate([found.x, fixed])
+        solution = least_squares(held, [0.0, 0.0], xtol=1e-10)
+        return np.concatenate([solution.x, fixed])
 
 
 def along_circle(points: Array, circle: Circle) -> Array:

@@ -24,7 +24,7 @@ _FORCE_N = 0.05
 
 
 def beyond(record: Record, skip_mm: float) -> Array:
-    """Return a mask of the samples to be fitted, shape (samples,).
+    """Return a mask of the samples that a fit of the path uses, shape (samples,).
 
     A sample is fitted if the needle moves in, is deeper than `skip_mm`, and was never deeper in an earlier sample.
     """

@@ -41,7 +41,7 @@ _LOST = 1e-6
 
 @dataclass(frozen=True)
 class TrialScatter:
-    """A joint fit whose model and estimates hold the scatter between trials, and remarks on how."""
+    """A joint fit with the scatter between trials in its estimates, and remarks on the scatter."""
 
     fit: Fit
     remarks: tuple[str, ...] = ()
@@ -74,19 +74,19 @@ def with_scatter(
     if len(records) < 2 or found.status is FitStatus.DIVERGED:
         return TrialScatter(found)
     single = [fit(found.model, record, free=found.free, bounds=bounds, smooth=smooth, mask=mask) for record in records]
-    what = found.model.parameters()
-    if all(each.status is FitStatus.CONVERGED and not each.undetermined for each in single) and not _complement(
-        found, single
-    ):
+    parameters = found.model.parameters()
+    if all(
+        trial_fit.status is FitStatus.CONVERGED and not trial_fit.undetermined for trial_fit in single
+    ) and not _complement(found, single):
         estimates = {
             name: mean_estimate(
-                what[name],
-                [each.estimates[name].value for each in single],
-                [each.estimates[name].sd for each in single],
+                parameters[name],
+                [trial_fit.estimates[name].value for trial_fit in single],
+                [trial_fit.estimates[name].sd for trial_fit in single],
             )
             for name in found.free
         }
-        model = found.model.with_values(**{name: each.value for name, each in estimates.items()})
+        model = found.model.with_values(**{name: estimate.value for name, estimate in estimates.items()})
         said = f"the estimates are means of {len(records)} trials; their intervals hold the scatter between trials"
         return TrialScatter(replace(found, model=model, estimates=estimates), (said,))
     moved = _moved_without(found, records, smooth)
@@ -102,41 +102,41 @@ def with_scatter(
     return TrialScatter(replace(found, estimates=estimates), tuple(remarks))
 
 
-def _complement(found: Fit, single: Sequence[Fit]) -> bool:
+def _complement(joint: Fit, single: Sequence[Fit]) -> bool:
     """Return whether the trials determine a parameter together much better than the mean of what they say alone."""
-    for name in found.free:
-        sds = np.array([each.estimates[name].sd for each in single])
+    for name in joint.free:
+        sds = np.array([trial_fit.estimates[name].sd for trial_fit in single])
         if not np.isfinite(sds).all():
             return True
-        if (sds > 0).all() and float(np.sum(sds**-2.0)) ** -0.5 > _MOST_LOSS * found.estimates[name].sd:
+        if (sds > 0).all() and float(np.sum(sds**-2.0)) ** -0.5 > _MOST_LOSS * joint.estimates[name].sd:
             return True
     return False
 
 
-def _widened(found: Fit, name: str, sd: float, degrees: int) -> Estimate:
+def _widened(joint: Fit, name: str, sd: float, degrees: int) -> Estimate:
     """Return the estimate with a standard deviation of the coordinate; not finite: the estimate of the joint fit."""
-    old, what = found.estimates[name], found.model.parameters()[name]
+    old, parameter = joint.estimates[name], joint.model.parameters()[name]
     if not np.isfinite(sd) or not np.isfinite(old.sd):
         return old
-    slope = what.slope(old.value)
-    low, high = TrialMean(what.coordinate(old.value), sd, degrees, None, None).interval()
-    middle, least = what.coordinate(old.value), old.sd / slope
+    slope = parameter.slope(old.value)
+    low, high = TrialMean(parameter.coordinate(old.value), sd, degrees, None, None).interval()
+    middle, least = parameter.coordinate(old.value), old.sd / slope
     ends = (min(low, middle - least), max(high, middle + least))
-    low, high = (float(np.clip(what.value(end), what.lower, what.upper)) for end in ends)
+    low, high = (float(np.clip(parameter.value(end), parameter.lower, parameter.upper)) for end in ends)
     return replace(old, sd=sd * slope, low=low, high=high)
 
 
-def _moved_without(found: Fit, records: Sequence[Record], smooth: Callable[[Array], Array] | None) -> Array:
+def _moved_without(joint: Fit, records: Sequence[Record], smooth: Callable[[Array], Array] | None) -> Array:
     """Return d_i of equation (1) in coordinates, (trials, parameters); infinite if the others determine none."""
     parts = [
-        _linear(found, record, residual, smooth) for record, residual in zip(records, found.residuals, strict=True)
+        _linear(joint, record, residual, smooth) for record, residual in zip(records, joint.residuals, strict=True)
     ]
     squares = [jacobian.T @ jacobian for jacobian, _ in parts]
     whole, scale = sum(squares), np.sqrt(np.diag(sum(squares)))
     scale[scale == 0] = 1.0
-    moved = np.empty((len(records), len(found.free)))
-    for row, (own, (jacobian, residual)) in enumerate(zip(squares, parts, strict=True)):
-        left = (whole - own) / np.outer(scale, scale)
+    moved = np.empty((len(records), len(joint.free)))
+    for row, (square, (jacobian, residual)) in enumerate(zip(squares, parts, strict=True)):
+        left = (whole - square) / np.outer(scale, scale)
         values, vectors = np.linalg.eigh(left)
         kept = values > _LOST
         pulled = vectors.T @ (jacobian.T @ residual / scale)
@@ -146,17 +146,17 @@ def _moved_without(found: Fit, records: Sequence[Record], smooth: Callable[[Arra
 
 
 def _linear(
-    found: Fit, record: Record, residual: Array, smooth: Callable[[Array], Array] | None
+    joint: Fit, record: Record, residual: Array, smooth: Callable[[Array], Array] | None
 ) -> tuple[Array, Array]:
     """Return Jacobian (samples, parameters) of the output and residuals of a trial, both without masked samples."""
-    what, motion = found.model.parameters(), record.motion()
+    parameters, motion = joint.model.parameters(), record.motion()
     used = np.isfinite(residual)
 
     def output(name: str, sign: int) -> Array:
-        value = what[name].value(what[name].coordinate(getattr(found.model, name)) + sign * _STEP)
-        inside = float(np.clip(value, what[name].lower, what[name].upper))
-        found_output = simulate(found.model.with_values(**{name: inside}), motion).output
+        value = parameters[name].value(parameters[name].coordinate(getattr(joint.model, name)) + sign * _STEP)
+        inside = float(np.clip(value, parameters[name].lower, parameters[name].upper))
+        found_output = simulate(joint.model.with_values(**{name: inside}), motion).output
         return found_output if smooth is None else smooth(found_output)
 
-    columns = [(output(name, 1) - output(name, -1))[used] / (2 * _STEP) for name in found.free]
+    columns = [(output(name, 1) - output(name, -1))[used] / (2 * _STEP) for name in joint.free]
     return np.column_stack(columns), residual[used]

@@ -157,7 +157,7 @@ def _algebraic(points: Array, method: CircleMethod) -> tuple[float, float, float
             smallest = int(np.flatnonzero(values > 0)[0])
             a, b, c, d = np.linalg.solve(root, vectors[:, smallest])
     norm = np.sqrt(max(b * b + c * c - 4 * a * d, 1e-300))
-    a, b, c, d = (each / norm for each in (a, b, c, d))
+    a, b, c, d = (coefficient / norm for coefficient in (a, b, c, d))
     # a r^2 + b x + c y + d = 0; the gradient at the point nearest to the origin is the normal to the left of the path.
     steep = np.hypot(b, c) or 1.0
     normal = np.array([b, c]) / steep
@@ -184,5 +184,5 @@ def _geometric(points: Array, start: tuple[float, float, float, float]) -> tuple
         bend, at_x, at_y, turned = place(unknown)
         return arc_distance(points, at_x, at_y, turned, bend)
 
-    found = least_squares(distance, np.array([curvature, 0.0, 0.0]), method="lm", xtol=1e-14, ftol=1e-14, gtol=1e-14)
-    return place(found.x)
+    solution = least_squares(distance, np.array([curvature, 0.0, 0.0]), method="lm", xtol=1e-14, ftol=1e-14, gtol=1e-14)
+    return place(solution.x)

@@ -60,7 +60,7 @@ _KERNELS: tuple[tuple[float, Callable[[Array], Array]], ...] = (
 
 @dataclass(frozen=True)
 class Marginal:
-    """Distribution of p parameters with the noise integrated out: a mixture of m Student distributions.
+    """Distribution of p parameters after integration over the noise models: a mixture of m Student distributions.
 
     - `weights`: weights of the distributions, shape (m,); the sum is one
     - `centres`, `covariances`: centres, shape (m, p), and scale matrices, shape (m, p, p), of the distributions
@@ -102,8 +102,8 @@ class Marginal:
     def _quantile(self, share: float, centre: Array, scale: Array) -> float:
         from scipy.optimize import brentq
 
-        each = centre + stdtrit(self.dof, share) * scale
-        low, high = float(each.min()), float(each.max())
+        quantiles = centre + stdtrit(self.dof, share) * scale
+        low, high = float(quantiles.min()), float(quantiles.max())
         if not high > low:
             return low
 
@@ -179,7 +179,7 @@ class _Points:
     """
 
     def __init__(self, residual: Array, jacobian: Array, logdet: Array, cells: Sequence[tuple[float, float]]) -> None:
-        self.prior, self.lengths = (np.array(each) for each in zip(*cells, strict=True))
+        self.prior, self.lengths = (np.array(array) for array in zip(*cells, strict=True))
         self.dof = jacobian.shape[1] - jacobian.shape[2]
         normal = np.einsum("mni,mnj->mij", jacobian, jacobian)
         size = np.sqrt(np.diagonal(normal, axis1=1, axis2=2))

@@ -23,7 +23,7 @@ __all__ = ["draw"]
 def draw(
     figure: Figure, found: Sequence[CurvatureTrial], plane: str, mean: MeanPath, prediction: TipPrediction
 ) -> None:
-    """Draw points, fitted arcs, the mean path from the entry on, the region of the predicted tip, and curvatures."""
+    """Draw points, fitted arcs, curvatures, the mean path from the entry, and the region of the predicted tip."""
     colours = (BLUE, VERMILLION, GREEN, ORANGE, SKY, GREY)
     paths, left, bends = figure.subplots(3, 1, gridspec_kw={"height_ratios": (3, 2, 2)})
     for number, trial in enumerate(found):

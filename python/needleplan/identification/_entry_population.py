@@ -72,37 +72,37 @@ class TipPrediction:
     @property
     def mean_error_mm(self) -> float | None:
         """Mean distance (mm) of the predicted from the measured tip of the checks; None for a single insertion."""
-        return float(np.mean([each.distance_mm for each in self.left_out])) if self.left_out else None
+        return float(np.mean([check.distance_mm for check in self.left_out])) if self.left_out else None
 
     def lines(self) -> list[str]:
         """Return the lines that `needleplan identify` prints."""
-        found = [f"predicted tip at a depth of {self.depth_mm:.4g} mm: x {self.x_mm:.2f} mm"]
+        lines = [f"predicted tip at a depth of {self.depth_mm:.4g} mm: x {self.x_mm:.2f} mm"]
         for axis, value, region, other in (
             ("y", self.y_mm, self.y_region_mm, self.y_new_series_mm),
             ("z", self.z_mm, self.z_region_mm, self.z_new_series_mm),
         ):
             if value is not None and region is not None and other is not None:
-                found.append(
+                lines.append(
                     f"  {axis} {value:.2f} mm (95 % region: next insertion of this series {region[0]:.2f} to "
                     f"{region[1]:.2f}, of a new series {other[0]:.2f} to {other[1]:.2f})"
                 )
         if not self.left_out:
-            return [*found, "  one insertion does not determine the scatter: the region is that of usual insertions"]
+            return [*lines, "  one insertion does not determine the scatter: the region is that of usual insertions"]
         says = (
             "the insertions drift, so that the last ones count most: keep their order, or set up again"
             if self.drift > _DRIFTS
             else "no drift was found"
         )
-        found.append(f"  order of the {len(self.left_out) + 1} insertions: {says} (probability {self.drift:.0%})")
+        lines.append(f"  order of the {len(self.left_out) + 1} insertions: {says} (probability {self.drift:.0%})")
         if self.checked:
-            found.append(f"  the errors of {self.checked} predicted insertions set the size of the region")
-        largest = max(each.distance_mm for each in self.left_out)
-        inside = sum(each.inside for each in self.left_out)
-        found.append(
+            lines.append(f"  the errors of {self.checked} predicted insertions set the size of the region")
+        largest = max(check.distance_mm for check in self.left_out)
+        inside = sum(check.inside for check in self.left_out)
+        lines.append(
             f"  each insertion predicted from those before it: mean error {self.mean_error_mm:.2f} mm, largest "
             f"{largest:.2f} mm; {inside} of {len(self.left_out)} in the region"
         )
-        return found
+        return lines
 
 
 @dataclass(frozen=True)
@@ -125,8 +125,8 @@ class MeanPath:
 
     def tip(self, along_mm: float) -> tuple[float, float]:
         """Return x and y (mm) at a position along the path."""
-        found = trace(self.shape, self.x_mm, self.values, np.array([along_mm]))
-        return float(found[0, 0]), float(found[1, 0])
+        point = trace(self.shape, self.x_mm, self.values, np.array([along_mm]))
+        return float(point[0, 0]), float(point[1, 0])
 
     def estimate(self, number: int, unit: str) -> Estimate:
         """Return the estimate of the parameter `number` with its 95 % interval and the scatter between insertions."""
@@ -152,11 +152,11 @@ def predict_tip(
     `paths` are the insertions in the plane of bending in their order, `across` the same insertions in the other plane,
     or empty. `others` holds the tips (mm) of other series at this position, shape (n, planes) each.
     """
-    planes = [each for each in (paths, across) if each]
+    planes = [plane for plane in (paths, across) if plane]
     tips = tips_of(planes, along_mm)
     scatter = typical_scatter(others, deviation_mm(along_mm))
-    found = next_insertion(tips, scatter)
-    other = new_series([*others, tips], found, setup_mm(along_mm))
+    forecast = next_insertion(tips, scatter)
+    other = new_series([*others, tips], forecast, setup_mm(along_mm))
     left_out = []
     for number in range(1, len(paths)):
         earlier = next_insertion(tips[:number], scatter)
@@ -165,10 +165,10 @@ def predict_tip(
         inside = bool(((earlier.low <= measured) & (measured <= earlier.high)).all())
         left_out.append(LeftOutTip(paths[number].name, errors[0], errors[1] if across else None, inside))
     x, _ = mean_path(paths).tip(along_mm)
-    values, regions, wide = found.values.tolist(), found.regions, other.regions
+    values, regions, wide = forecast.values.tolist(), forecast.regions, other.regions
     return TipPrediction(
         along_mm, x, values[0], values[1] if across else None, regions[0], regions[1] if across else None,
-        wide[0], wide[1] if across else None, found.drift, found.checked, tuple(left_out),
+        wide[0], wide[1] if across else None, forecast.drift, forecast.checked, tuple(left_out),
     )  # fmt: skip
 
 

@@ -75,7 +75,7 @@ class Curvature:
 
     @property
     def interval_sd_per_mm(self) -> float:
-        """Standard deviation (1/mm) whose normal interval is as wide as the 95 % interval.
+        """Standard deviation (1/mm) of the normal distribution with a 95 % interval of the same width.
 
         `sd_per_mm` itself is dominated by the tails of few candidates with long correlation lengths.
         """
@@ -133,28 +133,28 @@ class FittedArcs:
     def segments(self) -> tuple[Curvature, ...]:
         """Curvature of each arc of a chain whose arcs have a coefficient each, or of the whole path for one."""
         chain, rms, values = self.chain, self.rms_mm, self.values
-        found = []
+        curvatures = []
         for number, row in enumerate(self._rows()):
             low, high = self.errors.interval(row)
             centre, sd = float(row @ self.start), float(np.sqrt(row @ self.errors.covariance @ row))
-            found.append(Curvature(
+            curvatures.append(Curvature(
                 float(row @ values), sd, centre + low, centre + high, rms, self.errors.correlation,
                 int((chain.index == number).sum()), float(chain.edges[number]), float(chain.edges[number + 1]),
             ))  # fmt: skip
-        return tuple(found)
+        return tuple(curvatures)
 
     @cached_property
     def changes(self) -> tuple[CurvatureChange, ...]:
         """Changes of the curvature between neighbouring segments."""
-        rows, found = self._rows(), []
+        rows, changes = self._rows(), []
         for direction in rows[1:] - rows[:-1]:
             low, high = self.errors.interval(direction)
             base = float(direction @ self.start)
             below = self.errors.below(-base, direction)
-            found.append(CurvatureChange(
+            changes.append(CurvatureChange(
                 float(direction @ self.values), base + low, base + high, 2 * min(below, 1 - below)
             ))  # fmt: skip
-        return tuple(found)
+        return tuple(changes)
 
     def _rows(self) -> Array:
         """Return the rows that select the coefficients of the curvature from the unknowns, shape (m, p)."""

@@ -42,7 +42,7 @@ def without_faults(records: Sequence[Record]) -> tuple[tuple[Record, ...], list[
                 "are left out"
             )
         if limited.any():
-            ends = sorted({float(each) for each in force[limited]})
+            ends = sorted({float(number) for number in force[limited]})
             named = " and ".join(f"{end:.4g} N" for end in ends)
             remarks.append(
                 f"{prefix}the sensor is saturated at {named}: {int(limited.sum())} samples have exactly this value; "

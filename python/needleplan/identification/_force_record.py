@@ -74,15 +74,15 @@ def force_drops(record: Record, *, least_n: float, within_mm: float = 5.0) -> tu
     fresh = np.concatenate([[True], deepest[1:] > deepest[:-1]]) if depth.size else np.zeros(0, bool)
     depth, force = depth[fresh], force[fresh]
     peaks = find_peaks(force, prominence=least_n)[0]
-    found = []
+    drops = []
     for number, peak in enumerate(peaks):
         end = peaks[number + 1] if number + 1 < len(peaks) else force.size
         behind = np.arange(peak, end)
         behind = behind[depth[behind] <= depth[peak] + within_mm]
         valley = int(behind[np.argmin(force[behind])])
         if force[peak] - force[valley] >= least_n:
-            found.append(Drop(float(depth[peak]), float(depth[valley]), float(force[peak]), float(force[valley])))
-    return tuple(found)
+            drops.append(Drop(float(depth[peak]), float(depth[valley]), float(force[peak]), float(force[valley])))
+    return tuple(drops)
 
 
 def has_retraction(records: Sequence[Record]) -> bool:

@@ -33,18 +33,18 @@ _END = 0.05
 def frame_remarks(found: Sequence[CurvatureTrial]) -> list[str]:
     """Return a remark for every insertion that seems to be in another frame than the others.
 
-    With two insertions nothing says which of them differs; both are then named.
+    Of two insertions, both are named, because the data do not show which of them differs.
     """
     if len(found) < 2:
         return []
-    starts, chords = (np.array(each) for each in zip(*(_ends(each.points_mm) for each in found), strict=True))
+    starts, chords = (np.array(array) for array in zip(*(_ends(trial.points_mm) for trial in found), strict=True))
     angles = np.arctan2(chords[:, 1], chords[:, 0])
     sides = np.array([
-        0 if each.whole.low_per_mm <= 0 <= each.whole.high_per_mm else np.sign(each.whole.curvature_per_mm)
-        for each in found
+        0 if trial.whole.low_per_mm <= 0 <= trial.whole.high_per_mm else np.sign(trial.whole.curvature_per_mm)
+        for trial in found
     ])  # fmt: skip
     remarks = []
-    for number, each in enumerate(found):
+    for number, trial in enumerate(found):
         others = np.arange(len(found)) != number
         said = []
         away = float(np.linalg.norm(starts[number] - np.median(starts[others], axis=0)))
@@ -57,7 +57,7 @@ def frame_remarks(found: Sequence[CurvatureTrial]) -> list[str]:
             said.append("bends to the other side than all others (an axis flipped, or the bevel turned?)")
         if said:
             remarks.append(
-                f"{each.name or 'a trial'} {' and '.join(said)}: bring all trials to one frame, or leave it out; the "
+                f"{trial.name or 'a trial'} {' and '.join(said)}: bring all trials to one frame, or leave it out; the "
                 "means are not of one insertion"
             )
     return remarks

@@ -60,7 +60,7 @@ class Identification:
             return None
         parents = tuple(Parent(record.trial, record.digest) for record in records)
         names = self.model.parameters()
-        estimates = {name: each for name, each in self.estimates.items() if name in names}
+        estimates = {name: estimate for name, estimate in self.estimates.items() if name in names}
         about = f"{self.kind} identified from {len(records)} trials"
         return ModelFile(self.model, estimates, parents, self.remarks, about, fibre=self.fibre)
 
@@ -76,9 +76,9 @@ class Trials:
 
 
 def trials_by_role(given: object, *, noise_is_used: bool = False, faults_are_named: bool = False) -> Trials:
-    """Return the records in what is given by their role; references train too.
+    """Sort records by their role; references are training records too.
 
-    `given` is as of `needleplan.signals.records_of`; files are read, too.
+    `given` are files, or records as for `needleplan.signals.records_of`.
 
     Raises DataError if no record has the role train, or if their frames differ.
     If there are records of noise and `noise_is_used` is False, a remark states that they are left out. If the
@@ -87,14 +87,14 @@ def trials_by_role(given: object, *, noise_is_used: bool = False, faults_are_nam
     """
     records = records_of(given, read_records)
     train, holdout, noise = (
-        tuple(each for each in records if each.role in roles)
+        tuple(record for record in records if record.role in roles)
         for roles in ((Role.TRAIN, Role.REFERENCE), (Role.HOLDOUT,), (Role.NOISE,))
     )
     if not train:
         rule = f"there is no trial to identify from: {len(holdout)} held out, {len(noise)} of noise"
         raise DataError(Mistake("role", "", rule))
     require_one_frame(records)
-    named = {id(each): set(fault_notes(each)) for each in train} if faults_are_named else {}
+    named = {id(record): set(fault_notes(record)) for record in train} if faults_are_named else {}
     remarks = [
         f"{record.trial}: {note}".removeprefix(": ")
         for record in records

@@ -44,7 +44,7 @@ class ShapeKind(StrEnum):
 
 @dataclass(frozen=True)
 class PathShape:
-    """A member of the family of curvatures by depth.
+    """A form of the curvature as a function of the depth.
 
     `places_mm` are positions along the path: the edges between layers, or all knots of a smooth curvature; empty for a
     uniform curvature.
@@ -95,7 +95,7 @@ def layered(number: int, first_mm: float, last_mm: float) -> PathShape:
     if number == 1:
         return PathShape()
     inner = np.linspace(first_mm, last_mm, number + 1)[1:-1]
-    return PathShape(ShapeKind.LAYERED, tuple(float(each) for each in inner))
+    return PathShape(ShapeKind.LAYERED, tuple(float(place) for place in inner))
 
 
 def trace(shape: PathShape, x_mm: float, values: Array, along_mm: Array) -> Array:
@@ -108,13 +108,13 @@ def trace(shape: PathShape, x_mm: float, values: Array, along_mm: Array) -> Arra
     bends = basis @ values[2:]
     pose = (x_mm, float(values[0]), float(values[1]))
     index = np.clip(np.searchsorted(edges, along, side="right") - 1, 0, len(bends) - 1)
-    found = np.empty((3, along.size))
+    poses = np.empty((3, along.size))
     for number, bend in enumerate(bends):
         here = index == number
-        found[:, here] = np.array(np.broadcast_arrays(*arc_step(*pose, bend, along[here] - edges[number])))
+        poses[:, here] = np.array(np.broadcast_arrays(*arc_step(*pose, bend, along[here] - edges[number])))
         x, y, heading = arc_step(*pose, bend, edges[number + 1] - edges[number])
         pose = (float(x), float(y), float(heading))
-    return found
+    return poses
 
 
 @dataclass(frozen=True)
@@ -203,7 +203,7 @@ def entry_path(
     along = along_circle(points, circle)
     start = _at_x(circle, points) if depth is None else float(np.median(along - depth))
     position = along - start
-    x, y, heading = (float(each) for each in arc_step(
+    x, y, heading = (float(number) for number in arc_step(
         *circle.point_mm, circle.heading_rad, circle.curvature_per_mm, start
     ))  # fmt: skip
     end = float(position.max())

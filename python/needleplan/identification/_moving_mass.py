@@ -88,9 +88,9 @@ class FrictionOnSensor(SelfIntegratingModel):
 
     def parameters(self) -> dict[str, Parameter]:  # type: ignore[override]
         """Return the parameters of the friction, `mass_kg` and `offset_n`."""
-        own = parameters_of(self)
-        own["offset_n"] = replace(own["offset_n"], typical=_SMALL * self.base.normal_force_n)
-        return {**self.base.parameters(), **own}
+        known = parameters_of(self)
+        known["offset_n"] = replace(known["offset_n"], typical=_SMALL * self.base.normal_force_n)
+        return {**self.base.parameters(), **known}
 
     def values(self) -> dict[str, float]:
         """Return the values of the friction, `mass_kg` and `offset_n`."""
@@ -121,9 +121,9 @@ class FrictionOnSensor(SelfIntegratingModel):
 def with_velocity(record: Record) -> Record:
     """Return the record with a velocity: its own, or that of the depth without delay.
 
-    A short window passes the noise of the depth on to the acceleration, a long one rounds its changes off. The window
-    is the longest one whose accelerations differ from those of all shorter ones by at most twice the noise of these
-    (Lepskii, Theory Probab. Appl. 35 (1990) 454).
+    A short window passes the noise of the depth on to the acceleration, and a long window smooths real changes. The
+    chosen window is the longest one whose accelerations differ from those of every shorter window by at most twice the
+    noise of the shorter one (Lepskii, Theory Probab. Appl. 35 (1990) 454).
     """
     if "velocity_mm_s" in record.columns:
         return record
@@ -145,15 +145,15 @@ def _velocity(record: Record, window_s: float) -> tuple[Array, float]:
     time, impulse = record["time_s"], np.zeros(len(record))
     impulse[len(record) // 2] = 1.0
     velocity, response = (
-        velocity_without_delay(time, each, window_s).velocity_mm_s for each in (record["depth_mm"], impulse)
+        velocity_without_delay(time, values, window_s).velocity_mm_s for values in (record["depth_mm"], impulse)
     )
     return velocity, float(np.linalg.norm(np.gradient(response, time)))
 
 
 def on_sensor(candidate: Candidate, *, mass: bool, offset: bool) -> Candidate:
-    """Return the candidate with a moving mass, an offset of the sensor, or both in addition.
+    """Add a moving mass, an offset of the sensor, or both to a candidate, and return it.
 
-    Friction by direction has no offset beside it: it takes up an offset by different forces in the two directions.
+    Friction by direction gets no offset: its different forces in the two directions take up an offset.
     """
     assert isinstance(candidate.model, Friction)
     more = {"mass_kg": mass, "offset_n": offset and not isinstance(candidate.model, DirectionalKarnopp)}
@@ -163,7 +163,7 @@ def on_sensor(candidate: Candidate, *, mass: bool, offset: bool) -> Candidate:
 
 @dataclass(frozen=True)
 class MovingMass:
-    """The identified mass (kg): its estimate, the change by additional noise of the motion, and remarks."""
+    """The identified mass (kg): its estimate, its change if noise is added to the motion, and remarks."""
 
     estimate: Estimate
     change_kg: float
@@ -175,13 +175,13 @@ def moving_mass(found: Fit, train: Sequence[Record], refit: Callable[[Sequence[R
 
     `refit` repeats the fit with other records, which have a velocity.
     """
-    each = found.estimates["mass_kg"]
+    mass = found.estimates["mass_kg"]
     random = np.random.default_rng(0)
     again = refit([with_velocity(_noisier(record, random)) for record in train])
-    change = again.estimates["mass_kg"].value - each.value
-    low, high = each.low - max(change, 0.0), each.high - min(change, 0.0)
-    noisy = abs(change) > _NOISY * abs(each.value)
-    estimate = replace(each, low=low, high=high, identified=low > 0 and not noisy)
+    change = again.estimates["mass_kg"].value - mass.value
+    low, high = mass.low - max(change, 0.0), mass.high - min(change, 0.0)
+    noisy = abs(change) > _NOISY * abs(mass.value)
+    estimate = replace(mass, low=low, high=high, identified=low > 0 and not noisy)
     if estimate.identified:
         return MovingMass(estimate, change, ())
     largest = max(float(np.max(np.abs(inertia_n(with_velocity(record).motion())))) for record in train)
@@ -194,7 +194,7 @@ def moving_mass(found: Fit, train: Sequence[Record], refit: Callable[[Sequence[R
     )
     if low > 0:
         remark += (
-            f"Noise of the measured motion changes the mass by {100 * abs(change / each.value):.0f} %: record the "
+            f"Noise of the measured motion changes the mass by {100 * abs(change / mass.value):.0f} %: record the "
             "velocity, or the depth with less noise"
         )
     elif high < 0:
@@ -203,7 +203,7 @@ def moving_mass(found: Fit, train: Sequence[Record], refit: Callable[[Sequence[R
             "at the time of depth_mm, and the holder stiff?"
         )
     else:
-        factor = max(2.0, each.sd / (_WANTED * _USUAL_KG))
+        factor = max(2.0, mass.sd / (_WANTED * _USUAL_KG))
         remark += (
             f"A mass of {_USUAL_KG:g} kg is found within {100 * _WANTED:.0f} % with about {factor:.2g} times the "
             "acceleration: move faster, or with shorter reversals"
@@ -212,12 +212,12 @@ def moving_mass(found: Fit, train: Sequence[Record], refit: Callable[[Sequence[R
 
 
 def stored(found: Fit) -> Model:
-    """Return the friction model with the effects `inertia` and `bias` that the fit has; the mass is above 0."""
+    """Return the fitted friction model with the fitted effects `inertia` and `bias`; a fitted mass is above 0."""
     assert isinstance(found.model, FrictionOnSensor)
     names = {"mass_kg": "inertia", "offset_n": "bias"}
     effects = [
-        AddedEffect(names[name], {"size": each.value}, {"size": each})
-        for name, each in found.estimates.items()
+        AddedEffect(names[name], {"size": estimate.value}, {"size": estimate})
+        for name, estimate in found.estimates.items()
         if name in names
     ]
     return with_effect(found.model.base, effects) if effects else found.model.base

@@ -53,7 +53,7 @@ _DWELL_S, _SPEEDS = 0.5, 1.5
 
 @dataclass(frozen=True)
 class Member:
-    """A fitted member of the family: its label, its fit, the held-out RMSE (N; NaN without), and the BIC."""
+    """A fitted model of the family: label, fit, RMSE on held-out trials (N; NaN without such trials), and BIC."""
 
     label: str
     fit: Fit
@@ -80,9 +80,9 @@ class _Fitter:
     def best(self, label: str, starts: Sequence[RelaxingForce], free: tuple[str, ...]) -> Member:
         """Return the member with the smallest residual over several starts."""
         fits = [_fitted(self, start, free) for start in starts]
-        found = min(fits, key=lambda each: each.rmse)
-        held = rmse_n(found.model, self.held, self.held_mask, self.smooth) if self.held else math.nan
-        return Member(label, found, held, math.nan)
+        best = min(fits, key=lambda candidate: candidate.rmse)
+        held = rmse_n(best.model, self.held, self.held_mask, self.smooth) if self.held else math.nan
+        return Member(label, best, held, math.nan)
 
 
 def _fitted(fitter: _Fitter, start: RelaxingForce, free: tuple[str, ...]) -> Fit:
@@ -92,12 +92,15 @@ def _fitted(fitter: _Fitter, start: RelaxingForce, free: tuple[str, ...]) -> Fit
 
 
 def choose_member(members: Sequence[Member]) -> Member:
-    """Return the chosen one of the fitted members."""
+    """Choose the member with the fewest parameters of those with about the least held-out RMSE.
+
+    Without held-out trials, choose the member with the least BIC.
+    """
     if math.isnan(members[0].held_out_rmse_n):
-        return min(members, key=lambda each: each.bic)
+        return min(members, key=lambda member: member.bic)
     least = min(member.held_out_rmse_n for member in members)
     good = [member for member in members if member.held_out_rmse_n <= (1 + _GAIN) * least]
-    return min(good, key=lambda each: (len(each.fit.free), each.held_out_rmse_n))
+    return min(good, key=lambda member: (len(member.fit.free), member.held_out_rmse_n))
 
 
 def fit_members(
@@ -110,7 +113,7 @@ def fit_members(
     capsules: int = BOUNDARIES,
     most_branches: int = 2,
 ) -> list[Member]:
-    """Fit the members to `train` and return them in the order of the fits, with their scores on `held`.
+    """Fit the models of the family to `train`, and return them in the order of the fits, with their scores on `held`.
 
     `mask` and `held_mask` select samples, `smooth` filters the simulated force. `capsules` is the largest number of
     capsules, `most_branches` that of branches. Raises DataError if no sample has a force.
@@ -118,10 +121,10 @@ def fit_members(
     fitter = _Fitter(train, held, mask, held_mask or mask, smooth)
     base = ("contact_mm", "stiffness", "growth", "friction")
     begin = _start(train, mask)
-    members = [fitter.best("spring", [begin.with_values(growth=each) for each in _GROWTHS], base)]
+    members = [fitter.best("spring", [begin.with_values(growth=growth) for growth in _GROWTHS], base)]
     drops = _drops(train)[:capsules]
     for count in range(1, len(drops) + 1):
-        members.append(_with_capsules(fitter, begin, sorted(drops[:count], key=lambda each: each.peak_mm), base))
+        members.append(_with_capsules(fitter, begin, sorted(drops[:count], key=lambda drop: drop.peak_mm), base))
     structure = choose_member(_with_bic(members))
     members += _with_branches(fitter, structure, most_branches)
     if len(drops) < BOUNDARIES:
@@ -143,7 +146,7 @@ def _with_capsules(fitter: _Fitter, begin: RelaxingForce, drops: Sequence[Drop],
     last = max(float(np.nanmax(record["force_n"][record["depth_mm"] > 0.98 * deepest])) for record in fitter.train)
     first = drops[0].peak_mm
     rubbing = min(
-        (each.valley_n / (each.valley_mm - first) for each in drops[1:]), default=last / (deepest - first) / 2
+        (drop.valley_n / (drop.valley_mm - first) for drop in drops[1:]), default=last / (deepest - first) / 2
     )
     ends = [drop.peak_mm for drop in drops] + [deepest]
     tops, bottoms = [drop.peak_n for drop in drops] + [last], [0.0, *(drop.valley_n for drop in drops)]
@@ -189,7 +192,7 @@ def _with_branches(fitter: _Fitter, before: Member, most: int) -> Iterator[Membe
 
 def _with_bic(members: Sequence[Member]) -> list[Member]:
     """Return the members with their BIC, for the effective number of samples of the best fit."""
-    best = min(members, key=lambda each: each.fit.rmse)
+    best = min(members, key=lambda member: member.fit.rmse)
     count = effective_samples(best.fit.residuals)
     return [
         replace(member, bic=count * math.log(max(member.fit.rmse, 1e-12) ** 2) + len(member.fit.free) * math.log(count))
@@ -205,16 +208,17 @@ def _drops(train: Sequence[Record]) -> list[Drop]:
         if force.size and np.ptp(force):
             found += force_drops(record, least_n=_DROP * float(np.ptp(force)), within_mm=_DROP_MM)
     drops: list[Drop] = []
-    for each in sorted(found, key=lambda each: -each.drop_n):
-        if all(abs(each.peak_mm - other.peak_mm) > _APART_MM for other in drops):
-            drops.append(each)
+    for drop in sorted(found, key=lambda drop: -drop.drop_n):
+        if all(abs(drop.peak_mm - other.peak_mm) > _APART_MM for other in drops):
+            drops.append(drop)
     return drops[:BOUNDARIES]
 
 
 def _start(train: Sequence[Record], mask: Mask) -> RelaxingForce:
     """Return a spring from the contact to the largest force of the first part of the insertion."""
     inward = [
-        np.flatnonzero(mask(each) & np.isfinite(each["force_n"]) & (each.motion().direction > 0)) for each in train
+        np.flatnonzero(mask(record) & np.isfinite(record["force_n"]) & (record.motion().direction > 0))
+        for record in train
     ]
     depth = np.concatenate([record["depth_mm"][rows] for record, rows in zip(train, inward, strict=True)])
     force = np.concatenate([record["force_n"][rows] for record, rows in zip(train, inward, strict=True)])
@@ -240,7 +244,7 @@ def can_relax(train: Sequence[Record]) -> bool:
         begun = motion.direction[starts] != 0
         if bool((begun & (motion.time_s[ends] - motion.time_s[starts] >= _DWELL_S)).any()):
             return True
-        speeds += [float(each) for each in np.percentile(speed[moving], (10, 90))] if moving.any() else []
+        speeds += [float(number) for number in np.percentile(speed[moving], (10, 90))] if moving.any() else []
     return bool(speeds) and max(speeds) > _SPEEDS * max(min(speeds), 1e-9)
 
 
@@ -253,34 +257,35 @@ def identify_relaxing(
     members = fit_members(train, trials.holdout, mask=mask, smooth=smooth, most_branches=2 if shown else 0)
     chosen = choose_member(members)
     joint = with_scatter(chosen.fit, train, smooth=smooth, mask=mask)
-    found, model = joint.fit, replace(chosen, fit=joint.fit).model
-    scores: list[tuple[str, float, str]] = [("RMSE of the fit", found.rmse, "N")]
+    joint_fit, model = joint.fit, replace(chosen, fit=joint.fit).model
+    scores: list[tuple[str, float, str]] = [("RMSE of the fit", joint_fit.rmse, "N")]
     least = min(member.bic for member in members)
     for member in members:
         scores.append((f"{member.label}: RMSE", member.fit.rmse, "N"))
         if trials.holdout:
             scores.append((f"{member.label}: RMSE held out", member.held_out_rmse_n, "N"))
         scores.append((f"{member.label}: BIC above the smallest", member.bic - least, ""))
-    scores += [("samples", found.samples, ""), ("masked samples", found.masked, "")]
+    scores += [("samples", joint_fit.samples, ""), ("masked samples", joint_fit.masked, "")]
     by = "the held-out trials" if trials.holdout else "Schwarz' criterion (nothing is held out)"
     says = f"{by} chose: {chosen.label}, of {len(members)} members"
     choice = Finding("choice of the member", chosen.held_out_rmse_n if trials.holdout else chosen.bic, None, says)
     remarks = [
-        f"{name} is not identified: any value from {each.low:.3g} to {each.high:.3g} {each.unit} fits".rstrip()
-        for name, each in found.estimates.items()
-        if not each.identified
+        f"{name} is not identified: any value from {estimate.low:.3g} to {estimate.high:.3g} "
+        f"{estimate.unit} fits".rstrip()
+        for name, estimate in joint_fit.estimates.items()
+        if not estimate.identified
     ]
-    remarks = [*trials.remarks, *faults, *joint.remarks, *remarks, *found.trades]
+    remarks = [*trials.remarks, *faults, *joint.remarks, *remarks, *joint_fit.trades]
     if not shown:
         remarks.append(
             "there is one speed and no dwell, so that a branch hardly differs from a stiffer spring: branches were not "
             "tried; record a dwell of some seconds or a second speed to identify the relaxation"
         )
-    if not found.ok:
-        remarks.append(f"the fit ended with: {found.status}; other parameters may fit better")
-    kept = None if found.status is FitStatus.DIVERGED else model
+    if not joint_fit.ok:
+        remarks.append(f"the fit ended with: {joint_fit.status}; other parameters may fit better")
+    kept = None if joint_fit.status is FitStatus.DIVERGED else model
     return Identification(
-        "force", kept, dict(found.estimates), tuple(scores), (choice, *residual_findings(found, train)),
+        "force", kept, dict(joint_fit.estimates), tuple(scores), (choice, *residual_findings(joint_fit, train)),
         (*remarks, averaged(sensor.samples)),
         partial(draw_force, model=model, records=[*train, *trials.holdout], sensor=sensor, counts=mask),
     )  # fmt: skip

@@ -41,7 +41,8 @@ def in_order(records: Sequence[Record]) -> tuple[list[Record], list[str]]:
 def require_different(records: Sequence[Record]) -> None:
     """Raise DataError if two records are of one insertion.
 
-    They are if they begin at the same time, or if most samples of the shorter one are in the other one too.
+    Two records are of one insertion if they begin at the same time, or if most samples of the shorter record are in the
+    other record too.
     """
     points = [
         set(zip(*(record[name] for name in _PLACES if name in record.columns), strict=True)) for record in records

@@ -36,7 +36,7 @@ _STEEPEST_RAD = 1.5
 
 @dataclass(frozen=True)
 class ShapeChoice:
-    """The chosen shape, the fitted paths, and the RMS distance (mm) of the insertions left out for each candidate."""
+    """The chosen shape, the fitted paths, and for each candidate the RMS distance (mm) of left-out insertions."""
 
     shape: PathShape
     paths: tuple[EntryPath, ...]
@@ -45,7 +45,7 @@ class ShapeChoice:
 
 
 def shaped_paths(trials: Sequence[CurvatureTrial], layers: int | None) -> ShapeChoice:
-    """Return the paths of trials with a number of layers, or with the shape that the insertions left out choose.
+    """Return the paths of trials with `layers` layers; None: with the shape that cross-validation chooses.
 
     `identify curvature`, `identify deflection`, `--scenario` and `diagnose` all take their path from here.
     """
@@ -72,24 +72,24 @@ def choose_shape(fit: Callable[[PathShape], Sequence[EntryPath]]) -> ShapeChoice
     if len(uniform) < _FEWEST:
         remark = f"{len(uniform)} insertions do not choose how the curvature depends on the depth: one curvature"
         return ShapeChoice(PathShape(), uniform, (), remark)
-    first, last = max(each.first_mm for each in uniform), min(each.deepest_mm for each in uniform)
+    first, last = max(path.first_mm for path in uniform), min(path.deepest_mm for path in uniform)
     candidates = [
         layered(2, first, last),
         PathShape(ShapeKind.SMOOTH, (0.0, last)),
         layered(3, first, last),
         PathShape(ShapeKind.SMOOTH, (0.0, last / 2, last)),
     ]
-    found = [uniform, *(tuple(fit(shape)) for shape in candidates)]
-    scores = np.array([_held_out(paths) for paths in found])
+    fits = [uniform, *(tuple(fit(shape)) for shape in candidates)]
+    scores = np.array([_held_out(paths) for paths in fits])
     means = scores.mean(axis=1)
     best = int(np.argmin(means))
     error = (scores - scores[best]).std(axis=1, ddof=1) / np.sqrt(scores.shape[1])
     equal = (means - means[best] <= error) | (means <= _EQUAL * means[best])
-    chosen = min(np.flatnonzero(equal), key=lambda each: (found[each][0].shape.size, each))
-    names = [str(paths[0].shape) for paths in found]
+    chosen = min(np.flatnonzero(equal), key=lambda number: (fits[number][0].shape.size, number))
+    names = [str(paths[0].shape) for paths in fits]
     remark = f"curvature by depth, chosen by insertions left out: {names[int(chosen)]}"
     rms = tuple((name, float(np.sqrt(mean))) for name, mean in zip(names, means, strict=True))
-    return ShapeChoice(found[int(chosen)][0].shape, found[int(chosen)], rms, remark)
+    return ShapeChoice(fits[int(chosen)][0].shape, fits[int(chosen)], rms, remark)
 
 
 def _held_out(paths: Sequence[EntryPath]) -> list[float]:
@@ -101,19 +101,25 @@ def _held_out(paths: Sequence[EntryPath]) -> list[float]:
 
 def curvature_estimates(mean: MeanPath) -> dict[str, Estimate]:
     """Return the estimates of the coefficients of the curvature by the names of the model's parameters."""
-    found = {}
+    estimates = {}
     for number in range(mean.shape.size):
-        each = mean.estimate(2 + number, "1/mm")
+        estimate = mean.estimate(2 + number, "1/mm")
         name = f"curvature_{number}_per_mm" if number else "curvature_per_mm"
-        found[name] = Estimate(
-            each.value, each.sd, each.low, each.high, each.unit, each.low > 0 or each.high < 0, each.between_sd
+        estimates[name] = Estimate(
+            estimate.value,
+            estimate.sd,
+            estimate.low,
+            estimate.high,
+            estimate.unit,
+            estimate.low > 0 or estimate.high < 0,
+            estimate.between_sd,
         )
-    return found
+    return estimates
 
 
 def model_of(mean: MeanPath) -> Bicycle | BicycleByDepth:
     """Return the model of a mean path, without entry pose if the path does not advance along +x."""
-    values = {name: each.value for name, each in curvature_estimates(mean).items()}
+    values = {name: curvature_estimate.value for name, curvature_estimate in curvature_estimates(mean).items()}
     if abs(mean.values[1]) < _STEEPEST_RAD:
         values |= {"offset_mm": float(mean.values[0]), "heading_rad": float(mean.values[1])}
     if mean.shape.kind is ShapeKind.UNIFORM:

@@ -135,20 +135,20 @@ def tip_noise(
     total = float(np.sum(moved**2 / steps)) / degrees
     added = float(np.mean(noise / steps))
     ends = [total * degrees / float(stats.chi2.ppf(share, degrees)) - added for share in (0.975, 0.025)]
-    variance, low, high = (max(each, 0.0) for each in (total - added, *ends))
+    variance, low, high = (max(square, 0.0) for square in (total - added, *ends))
     try:
-        found = [probabilities_of(math.sqrt(each), step_rad) for each in (variance, low, high)]
+        discrete = [probabilities_of(math.sqrt(square), step_rad) for square in (variance, low, high)]
     except DataError:
-        status, found = NoiseStatus.TOO_WIDE, [(1.0,)] * 3
+        status, discrete = NoiseStatus.TOO_WIDE, [(1.0,)] * 3
     else:
         status = (
             NoiseStatus.NOT_SEPARABLE if low == 0 and noise > 0
             else NoiseStatus.IDENTIFIED if degrees >= _ENOUGH and replicates > 2
             else NoiseStatus.FEW_REPLICATES
         )  # fmt: skip
-    sizes = [math.sqrt(each) for each in (variance, low, high)]
+    sizes = [math.sqrt(square) for square in (variance, low, high)]
     says = _says(status, sizes, step_rad, replicates, degrees)
-    middle, least, most = found
+    middle, least, most = discrete
     return TipNoise(status, middle, least, most, sizes[0], sizes[1], sizes[2], replicates, degrees, says)
 
 
@@ -166,21 +166,21 @@ def probabilities_of(sd_rad: float, step_rad: float) -> tuple[float, ...]:
     k = np.arange(200.0)
 
     def weights(c: float) -> Array:
-        each = np.exp(-c * k**2)
-        return np.asarray(each / (each[0] + 2 * each[1:].sum()))
+        terms = np.exp(-c * k**2)
+        return np.asarray(terms / (terms[0] + 2 * terms[1:].sum()))
 
     def excess(log_c: float) -> float:
         return float(2 * (weights(math.exp(log_c)) @ k**2)) / target - 1
 
     if excess(math.log(1e-3)) < 0:
         raise DataError(Mistake("sd_rad", f"{sd_rad:.3g}", f"must be a few steps of {step_rad:.3g} rad at most"))
-    found = weights(math.exp(brentq(excess, math.log(1e-3), math.log(60.0), xtol=1e-12)))
-    kept = int(np.flatnonzero(found > 0.5 * 10**-_DECIMALS)[-1]) + 1
-    if kept > _TERMS and 2 * found[_TERMS:].sum() > 1e-3:
+    terms = weights(math.exp(brentq(excess, math.log(1e-3), math.log(60.0), xtol=1e-12)))
+    kept = int(np.flatnonzero(terms > 0.5 * 10**-_DECIMALS)[-1]) + 1
+    if kept > _TERMS and 2 * terms[_TERMS:].sum() > 1e-3:
         raise DataError(
             Mistake("sd_rad", f"{sd_rad:.3g}", f"needs more than {_TERMS} probabilities; take larger steps")
         )
-    rounded = [round(float(each), _DECIMALS) for each in found[: min(kept, _TERMS)]]
+    rounded = [round(float(weight), _DECIMALS) for weight in terms[: min(kept, _TERMS)]]
     return (round(1 - 2 * math.fsum(rounded[1:]), _DECIMALS), *rounded[1:])
 
 
@@ -215,7 +215,7 @@ def headings_at(records: Sequence[Record], depths_mm: Array, window_mm: float) -
     if depths.size > 1 and np.diff(depths).min() < window_mm:
         rule = f"must be at least window_mm, {window_mm:g} mm, apart"
         raise DataError(Mistake("depths_mm", f"{np.diff(depths).min():g} mm", rule))
-    found = np.empty((len(records), depths.size))
+    headings = np.empty((len(records), depths.size))
     variances = []
     for row, record in enumerate(records):
         x, y = record["x_mm" if "x_mm" in record.columns else "depth_mm"], record["y_mm"]
@@ -225,9 +225,9 @@ def headings_at(records: Sequence[Record], depths_mm: Array, window_mm: float) -
                 rule = f"has {int(here.sum())} points within {window_mm / 2:g} mm; a heading needs at least 4"
                 raise DataError(Mistake("depths_mm", f"{depth:g}", rule), record.trial)
             line = stats.linregress(x[here], y[here])
-            found[row, column] = math.atan(line.slope)
+            headings[row, column] = math.atan(line.slope)
             variances.append(float(line.stderr) ** 2)
-    return found, math.sqrt(float(np.mean(variances)))
+    return headings, math.sqrt(float(np.mean(variances)))
 
 
 def _require(values: Array, depths: Array, headings: int, radius_mm: float, measurement_sd_rad: float) -> None:

@@ -56,8 +56,11 @@ class ForcePrediction:
 
 def _parameters_of(model: type[DepthForce]) -> Rule:
     known = model.parameters()
-    rules = {name: Number(what.unit, at_least=what.lower, at_most=what.upper) for name, what in known.items()}
-    return Keyed(rules, {name: what.about for name, what in known.items()})
+    rules = {
+        name: Number(parameter.unit, at_least=parameter.lower, at_most=parameter.upper)
+        for name, parameter in known.items()
+    }
+    return Keyed(rules, {name: parameter.about for name, parameter in known.items()})
 
 
 def _bounded(model: type[DepthForce], parameters: dict[str, float]) -> Iterator[Mistake]:

@@ -94,31 +94,37 @@ def identify(
     require_one_frame(every)
     require_different(every)
     options = {"segments": segments, "plane": plane, "skip_mm": skip_mm, "noise": noise}
-    found, held = (
+    insertions, held = (
         [insertion_of(record, correlation_mm=correlation_mm, **options) for record in some]  # type: ignore[arg-type]
         for some in (train, trials.holdout)
     )
-    bends, sds = [each.whole.curvature_per_mm for each in found], [each.whole.interval_sd_per_mm for each in found]
-    together, test = combine(bends, sds), agreement_of(bends, sds) if len(found) > 1 else None
-    choice = shaped_paths(found, layers)
-    paths, across = choice.paths, _across(found)
+    bends, sds = (
+        [trial.whole.curvature_per_mm for trial in insertions],
+        [trial.whole.interval_sd_per_mm for trial in insertions],
+    )
+    together, test = combine(bends, sds), agreement_of(bends, sds) if len(insertions) > 1 else None
+    choice = shaped_paths(insertions, layers)
+    paths, across = choice.paths, _across(insertions)
     mean = mean_path(paths)
     estimates = _estimates(mean, mean_path(across) if across else None)
     depth = min(path.deepest_mm for path in paths) if at_mm is None else at_mm
     tips = [_tips(some, depth, bool(across), plane=plane, skip_mm=skip_mm) for some in other_series]
     prediction = predict_tip(paths, across, depth, tips)
-    remarks = [*trials.remarks, *ordering, *(remark for each in (*found, *held) for remark in each.remarks)]
-    remarks += [*frame_remarks(found), *odd_remarks(found), *_remarks(found, test, estimates)]
+    remarks = [*trials.remarks, *ordering, *(remark for trial in (*insertions, *held) for remark in trial.remarks)]
+    remarks += [*frame_remarks(insertions), *odd_remarks(insertions), *_remarks(insertions, test, estimates)]
     remarks += [choice.remark] * bool(choice.remark)
     if depth > 1.001 * min(path.deepest_mm for path in paths):
         remarks.append(f"the predicted tip at {depth:.4g} mm is deeper than a trial reached: it is an extrapolation")
-    judged = [_validated(each, together) for each in held]
-    left = findings_of([trial.path.fitted.distances_mm for trial in found], [each.motion for each in found], "mm")
+    judged = [_validated(trial, together) for trial in held]
+    left = findings_of(
+        [trial.path.fitted.distances_mm for trial in insertions], [trial.motion for trial in insertions], "mm"
+    )
     return Identification(
         "curvature", model_of(mean), estimates,
-        (*_scores([*found, *held], together), *((f"left out, RMS: {name}", rms, "mm") for name, rms in choice.scores)),
-        (*_findings(found, test), *judged, *left), tuple(remarks),
-        partial(draw, found=[*found, *held], plane=plane, mean=mean, prediction=prediction), prediction,
+        (*_scores([*insertions, *held], together),
+         *((f"left out, RMS: {name}", rms, "mm") for name, rms in choice.scores)),
+        (*_findings(insertions, test), *judged, *left), tuple(remarks),
+        partial(draw, found=[*insertions, *held], plane=plane, mean=mean, prediction=prediction), prediction,
     )  # fmt: skip
 
 
@@ -127,47 +133,47 @@ def _tips(records: Sequence[Record], depth_mm: float, both: bool, *, plane: str,
 
     Raises DataError if there is no insertion, or the other plane was not tracked.
     """
-    found = [insertion_of(record, segments=1, plane=plane, skip_mm=skip_mm) for record in records]
-    across = _across(found)
+    insertions = [insertion_of(record, segments=1, plane=plane, skip_mm=skip_mm) for record in records]
+    across = _across(insertions)
     if both and not across:
         raise DataError(Mistake("other_series", "", "must be tracked in both planes, as the other insertions are"))
-    return tips_of([[each.path for each in found], across][: 1 + both], depth_mm)
+    return tips_of([[trial.path for trial in insertions], across][: 1 + both], depth_mm)
 
 
-def _across(found: Sequence[CurvatureTrial]) -> list[EntryPath]:
+def _across(insertions: Sequence[CurvatureTrial]) -> list[EntryPath]:
     """Return the paths of the trials in the other plane, or [] if a trial was not tracked there."""
-    paths = [path for trial in found if (path := trial.other_path())]
-    return paths if len(paths) == len(found) else []
+    paths = [path for trial in insertions if (path := trial.other_path())]
+    return paths if len(paths) == len(insertions) else []
 
 
 def _estimates(mean: MeanPath, across: MeanPath | None) -> dict[str, Estimate]:
     """Return the estimates of the mean path by name; `elevation_rad` is the heading in the other plane."""
-    found = curvature_estimates(mean)
-    found |= {"heading_rad": mean.estimate(1, "rad"), "offset_mm": mean.estimate(0, "mm")}
-    return found | ({"elevation_rad": across.estimate(1, "rad")} if across else {})
+    estimates = curvature_estimates(mean)
+    estimates |= {"heading_rad": mean.estimate(1, "rad"), "offset_mm": mean.estimate(0, "mm")}
+    return estimates | ({"elevation_rad": across.estimate(1, "rad")} if across else {})
 
 
-def _scores(found: Sequence[CurvatureTrial], together: TrialMean) -> list[tuple[str, float, str]]:
+def _scores(insertions: Sequence[CurvatureTrial], together: TrialMean) -> list[tuple[str, float, str]]:
     scores: list[tuple[str, float, str]] = []
-    for each in found:
-        name = each.name or "trial"
+    for trial in insertions:
+        name = trial.name or "trial"
         scores += [
-            (f"{name}: curvature", each.whole.curvature_per_mm, "1/mm"),
-            (f"{name}: lower end", each.whole.low_per_mm, "1/mm"),
-            (f"{name}: upper end", each.whole.high_per_mm, "1/mm"),
-            (f"{name}: radius", each.whole.radius_mm, "mm"),
-            (f"{name}: RMS distance", each.whole.rms_mm, "mm"),
+            (f"{name}: curvature", trial.whole.curvature_per_mm, "1/mm"),
+            (f"{name}: lower end", trial.whole.low_per_mm, "1/mm"),
+            (f"{name}: upper end", trial.whole.high_per_mm, "1/mm"),
+            (f"{name}: radius", trial.whole.radius_mm, "mm"),
+            (f"{name}: RMS distance", trial.whole.rms_mm, "mm"),
         ]
         scores += [
             (f"{name}: curvature {part.low_mm:.0f} to {part.high_mm:.0f} mm", part.curvature_per_mm, "1/mm")
-            for part in each.segments
+            for part in trial.segments
         ]
     if together.between_sd is not None:
         scores.append(("scatter between trials", together.between_sd, "1/mm"))
     return scores
 
 
-def _findings(found: Sequence[CurvatureTrial], test: TrialAgreement | None) -> list[Finding]:
+def _findings(insertions: Sequence[CurvatureTrial], test: TrialAgreement | None) -> list[Finding]:
     findings = []
     if test:
         says = (
@@ -176,13 +182,13 @@ def _findings(found: Sequence[CurvatureTrial], test: TrialAgreement | None) -> l
             else "the trials do not have one curvature: they differ by more than their intervals"
         )
         findings.append(Finding("agreement of trials", test.q, test.p_value, says))
-    for each in found:
-        for number, change in enumerate(each.changes):
-            place = each.segments[number].high_mm
+    for trial in insertions:
+        for number, change in enumerate(trial.changes):
+            place = trial.segments[number].high_mm
             says = f"the curvature changes at {place:.0f} mm by {change.value_per_mm:.2g} 1/mm"
             if change.p_value >= 0.05:
                 says = f"no change of the curvature at {place:.0f} mm was found"
-            findings.append(Finding(f"change, {each.name}".rstrip(", "), change.value_per_mm, change.p_value, says))
+            findings.append(Finding(f"change, {trial.name}".rstrip(", "), change.value_per_mm, change.p_value, says))
     return findings
 
 
@@ -198,16 +204,20 @@ def _validated(held: CurvatureTrial, together: TrialMean) -> Finding:
 
 
 def _remarks(
-    found: Sequence[CurvatureTrial], test: TrialAgreement | None, estimates: Mapping[str, Estimate]
+    insertions: Sequence[CurvatureTrial], test: TrialAgreement | None, estimates: Mapping[str, Estimate]
 ) -> list[str]:
     remarks = []
-    if not any(each.identified for name, each in estimates.items() if name.startswith("curvature")):
+    if not any(estimate.identified for name, estimate in estimates.items() if name.startswith("curvature")):
         remarks.append("the interval of the curvature contains zero: a straight path is possible")
     if test is None:
         remarks.append("one insertion does not determine the scatter between insertions: repeat it")
     elif not test.agree:
         remarks.append("the interval is for the mean curvature of the insertions; the next one may lie outside of it")
-    far = [each.name for each in found if each.whole.correlation_mm > 0.2 * (each.whole.high_mm - each.whole.low_mm)]
+    far = [
+        trial.name
+        for trial in insertions
+        if trial.whole.correlation_mm > 0.2 * (trial.whole.high_mm - trial.whole.low_mm)
+    ]
     if far:
         remarks.append(
             f"errors are correlated over more than a fifth of the path in {len(far)} trials ({', '.join(far)}): the "

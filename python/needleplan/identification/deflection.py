@@ -104,25 +104,25 @@ def identify(
         No trial has the role train, or no record can be used.
     """
     trials, law_mm = trials_by_role(records), _SKIP_MM if skip_mm is None else skip_mm
-    own, gel = needle or NEEDLE, tissue or TISSUE
-    start = replace(TipPath.of(own, gel.stiffness_n_mm2, 0.05), tracked=tracked_mm)
+    shaft, gel = needle or NEEDLE, tissue or TISSUE
+    start = replace(TipPath.of(shaft, gel.stiffness_n_mm2, 0.05), tracked=tracked_mm)
     paths, remarks = _paths(trials.train, start, law_mm)
     curvature = _mean([path.curvature for path in paths])
     estimates = {"curvature": curvature}
     findings = [_bends_evenly(paths), *_agreement([path.curvature for path in paths])]
     turned = [path.fit.estimates["stiffness"] for path in paths if path.turned]
     if turned:
-        values, sds = [each.value for each in turned], [each.sd for each in turned]
+        values, sds = [estimate.value for estimate in turned], [estimate.sd for estimate in turned]
         several = len(turned) > 1
         estimates["stiffness"] = mean_estimate(TipPath.parameters()["stiffness"], values, sds) if several else turned[0]
         start = replace(start, stiffness=estimates["stiffness"].value)
 
     def factor(stiffness_n_mm2: float) -> tuple[float, float]:
-        return depth_factor(paths[0], own, replace(gel, stiffness_n_mm2=stiffness_n_mm2))
+        return depth_factor(paths[0], shaft, replace(gel, stiffness_n_mm2=stiffness_n_mm2))
 
     g, sd = factor(start.stiffness)
     pose = {name: _mean([path.fit.estimates[name] for path in paths], identified=True) for name in ("slope", "offset")}
-    start = replace(start, **{name: each.value for name, each in pose.items()})
+    start = replace(start, **{name: estimate.value for name, estimate in pose.items()})
     model = _model(replace(start, depth_factor=g), curvature)
     estimates |= {"cutting_force": _force(model, curvature, sd / g), **pose}
     with_force = [path.record for path in paths if "force_n" in path.record.columns]
@@ -213,8 +213,8 @@ def _force(model: TipPath, curvature: Estimate, factor_error: float) -> Estimate
     The interval contains the error of g.
     """
     scale = model.bending * model.decay_1_mm * model.depth_factor / math.cos(model.bevel)
-    value, own = abs(curvature.value) * scale, (curvature.high - curvature.low) / 2 * scale
-    reach = math.hypot(own, float(stats.norm.ppf(0.975)) * factor_error * value)
+    value, half_width = abs(curvature.value) * scale, (curvature.high - curvature.low) / 2 * scale
+    reach = math.hypot(half_width, float(stats.norm.ppf(0.975)) * factor_error * value)
     sd = math.hypot(curvature.sd * scale, factor_error * value)
     return Estimate(value, sd, max(value - reach, 0.0), value + reach, "N", curvature.identified)
 
@@ -248,8 +248,8 @@ def _bends_evenly(paths: Sequence[PathFit]) -> Finding:
 def _held_out(records: Sequence[Record], model: TipPath, skip_mm: float) -> list[tuple[str, float, str]]:
     squares: list[float] = []
     for record in records:
-        own = fit(model, record, free=["slope", "offset"], mask=lambda each: beyond(each, skip_mm))
-        squares += own.residuals[0][np.isfinite(own.residuals[0])].tolist()
+        line = fit(model, record, free=["slope", "offset"], mask=lambda masked: beyond(masked, skip_mm))
+        squares += line.residuals[0][np.isfinite(line.residuals[0])].tolist()
     if not squares:
         return []
     name = f"RMSE on {len(records)} held-out records, their own slope and offset"

@@ -52,8 +52,7 @@ class CurvatureByDuty:
     """Curvature (1/mm) by duty cycle, k(d) = A (1 - d) + B d.
 
     - `law`: the coefficients A and B with their covariance
-    - `bend`: Student's t of the term d (1 - d), and the probability of one at least as large if the fall is linear;
-      None if it was not tested
+    - `bend`: test of a further term d (1 - d): Student's t and its p-value; None if it was not tested
     """
 
     law: TrialRegression
@@ -64,7 +63,7 @@ class CurvatureByDuty:
         return self.law.combination([1 - duty, duty]).estimate("1/mm")
 
     def share(self, duty: float) -> Estimate:
-        """Return the share of the curvature without turning that is left at a duty cycle, with Fieller's interval.
+        """Return k(d) / k(0), the share of the curvature that is left at a duty cycle, with Fieller's interval.
 
         It is not identified, with an unbounded interval, if the curvature without turning may be zero.
         """

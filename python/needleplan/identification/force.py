@@ -92,22 +92,22 @@ def identify(
         fitted_together, train, smooth=sensor.apply, mask=partial(settled, samples=sensor.samples),
         bounds=_bounds(fitted_together.model),
     )  # fmt: skip
-    found = joint.fit
+    result = joint.fit
     run = identify_by_passes(JointForce(begin), begin, train, smooth=sensor) if filtered and begin.proper else None
-    fitted = found.model
+    fitted = result.model
     assert isinstance(fitted, DepthForce)
     remarks = [
         *trials.remarks,
         *faults,
         *joint.remarks,
-        *_limits(found, fitted, train),
+        *_limits(result, fitted, train),
         *_punctures(train, sensor.samples),
         averaged(average),
     ]
     return Identification(
-        "force", fitted if found.status is not FitStatus.DIVERGED and fitted.proper else None, dict(found.estimates),
-        tuple(_scores(found, run, train, holdout, sensor)),
-        (*_findings(found, run, train, noise, sensor), *residual_findings(found, train)), tuple(remarks),
+        "force", fitted if result.status is not FitStatus.DIVERGED and fitted.proper else None, dict(result.estimates),
+        tuple(_scores(result, run, train, holdout, sensor)),
+        (*_findings(result, run, train, noise, sensor), *residual_findings(result, train)), tuple(remarks),
         partial(
             draw_force, model=fitted, records=[*train, *holdout], sensor=sensor,
             counts=partial(settled, samples=sensor.samples),
@@ -152,12 +152,12 @@ def fit_force(begin: DepthForce, train: Sequence[Record], sensor: MovingAverage,
             model, train, free=free, bounds=_bounds(model), smooth=sensor.apply, mask=mask, starts=starts, spread=0.7
         )
 
-    found = fitted(begin, None)
-    model = found.model
+    result = fitted(begin, None)
+    model = result.model
     if isinstance(model, ForceModel1) and model.f1 + model.f2 < (_EDGE - 1) * model.f1:
         inside = {**model.values(), "f1": max(model.f1, -1.1 * model.f2)}
         return fitted(ForceModel2(**inside), ("sigma0", "sigma1", "sigma2", "f1", "alpha", "beta"))
-    return found
+    return result
 
 
 def _bounds(model: Model) -> dict[str, tuple[float, float]]:
@@ -180,29 +180,29 @@ def settled(record: Record, samples: int) -> Array:
 
 
 def _scores(
-    found: Fit, run: FilterRun | None, train: Sequence[Record], holdout: Sequence[Record], sensor: MovingAverage
+    result: Fit, run: FilterRun | None, train: Sequence[Record], holdout: Sequence[Record], sensor: MovingAverage
 ) -> list[tuple[str, float, str]]:
     rows: list[tuple[str, float, str]] = [
-        ("RMSE of the fit", found.rmse, "N"),
-        ("MAE of the open loop", mean_absolute_error(found.model, train, smooth=sensor), "N"),
+        ("RMSE of the fit", result.rmse, "N"),
+        ("MAE of the open loop", mean_absolute_error(result.model, train, smooth=sensor), "N"),
     ]
     if holdout:
-        rows.append(("MAE of the open loop, held out", mean_absolute_error(found.model, holdout, smooth=sensor), "N"))
+        rows.append(("MAE of the open loop, held out", mean_absolute_error(result.model, holdout, smooth=sensor), "N"))
     if run is not None:
         last = (run.innovation_rmse[-1], run.replay_mae[-1]) if run.ok else (float("nan"), float("inf"))
         rows += [
             ("joint filter: RMSE of the innovations", last[0], "N"),
             ("joint filter: MAE of the open loop", last[1], "N"),
         ]
-    return [*rows, ("samples", found.samples, ""), ("masked samples", found.masked, "")]
+    return [*rows, ("samples", result.samples, ""), ("masked samples", result.masked, "")]
 
 
 def _findings(
-    found: Fit, run: FilterRun | None, train: Sequence[Record], noise: Sequence[Record], sensor: MovingAverage
+    result: Fit, run: FilterRun | None, train: Sequence[Record], noise: Sequence[Record], sensor: MovingAverage
 ) -> list[Finding]:
     findings = []
     if run is not None:
-        batch = mean_absolute_error(found.model, train, smooth=sensor)
+        batch = mean_absolute_error(result.model, train, smooth=sensor)
         alone = run.replay_mae[-1] if run.ok else float("inf")
         agree = alone < 1.5 * batch + 1e-4
         says = "the joint filter is as accurate as the fit" if agree else (
@@ -212,10 +212,10 @@ def _findings(
         findings.append(Finding("joint filter beside the fit", alone / batch if batch else 1.0, None, says))
     if noise:
         sd = float(np.nanstd(np.concatenate([record["force_n"] - np.nanmean(record["force_n"]) for record in noise])))
-        ratio = found.rmse / sd if sd else float("inf")
+        ratio = result.rmse / sd if sd else float("inf")
         says = "the residual is the noise of the sensor" if ratio < 1.2 else "the residual exceeds the sensor's noise"
         findings.append(Finding("residuals over the sensor's noise", ratio, None, says))
-    first, second = _halves(found, train)
+    first, second = _halves(result, train)
     says = "the error does not depend on the depth" if max(first, second) < 2 * min(first, second) else (
         f"RMSE {1e3 * first:.1f} mN in the shallower half of the samples, {1e3 * second:.1f} mN in the deeper half"
     )  # fmt: skip
@@ -223,38 +223,39 @@ def _findings(
     return findings
 
 
-def _halves(found: Fit, train: Sequence[Record]) -> tuple[float, float]:
+def _halves(result: Fit, train: Sequence[Record]) -> tuple[float, float]:
     """Return the RMSE (N) of the fit in the shallower and in the deeper half of the samples."""
-    left = np.concatenate(found.residuals)
+    left = np.concatenate(result.residuals)
     depth = np.concatenate([record["depth_mm"] for record in train])
     good = np.isfinite(left)
     deep = depth > np.median(depth[good])
     return tuple(float(np.sqrt(np.mean(left[good & half] ** 2))) for half in (~deep, deep))  # type: ignore[return-value]
 
 
-def _limits(found: Fit, model: DepthForce, train: Sequence[Record]) -> list[str]:
+def _limits(result: Fit, model: DepthForce, train: Sequence[Record]) -> list[str]:
     """Return remarks about parameters that the data do not determine, the fixed scale, and different speeds."""
     remarks = [
-        f"{name} is not identified: any value from {each.low:.3g} to {each.high:.3g} {each.unit} fits".rstrip()
-        for name, each in found.estimates.items()
-        if not each.identified
+        f"{name} is not identified: any value from {estimate.low:.3g} to {estimate.high:.3g} "
+        f"{estimate.unit} fits".rstrip()
+        for name, estimate in result.estimates.items()
+        if not estimate.identified
     ]
-    remarks += found.trades
+    remarks += result.trades
     if not has_retraction(train):
         remarks.append(
             "there is no retraction: the data determine the sum beta g + sigma2, but hardly its two terms; do not "
             "predict a retraction with this model"
         )
-    if not found.ok:
+    if not result.ok:
         remarks.append(
-            f"the fit ended with: {found.status}; the force may be fitted well, but the parameters are one set of many"
+            f"the fit ended with: {result.status}; the force may be fitted well, but the parameters are one set of many"
         )
     if model.f1 + model.f2 < 1.02 * (_EDGE - 1) * model.f1:
         remarks.append(
             "g at the surface is at its lower bound: the record has no force peak of the shape of this model, and only "
             "the rise of the force is fitted"
         )
-    fixed = "beta" if "beta" not in found.free else "f2"
+    fixed = "beta" if "beta" not in result.free else "f2"
     remarks.append(
         f"{fixed} = {getattr(model, fixed):g} is not measured: it fixes the scale of z, and so of beta, "
         "f1, f2, sigma0 and sigma1"

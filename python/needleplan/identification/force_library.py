@@ -62,10 +62,12 @@ class ForceLibrary:
     def __post_init__(self) -> None:
         first: dict[tuple[str, str, float], int] = {}
         mistakes = []
-        for number, each in enumerate(self.combinations, start=1):
-            known = first.setdefault((*_pair(each), each.velocity_mm_s), number)
+        for number, combination in enumerate(self.combinations, start=1):
+            known = first.setdefault((*_pair(combination), combination.velocity_mm_s), number)
             if known != number:
-                mistakes.append(Mistake(f"combination {number}", each.title, f"is there already, as number {known}"))
+                mistakes.append(
+                    Mistake(f"combination {number}", combination.title, f"is there already, as number {known}")
+                )
         if mistakes:
             raise ModelError(mistakes, self.title)
 
@@ -90,15 +92,15 @@ class ForceLibrary:
 
     def with_combination(self, combination: Combination) -> ForceLibrary:
         """Return a copy of the library with `combination` added; it replaces those that `like` finds."""
-        kept = [each for each in self.combinations if each not in self.like(combination)]
+        kept = [member for member in self.combinations if member not in self.like(combination)]
         return ForceLibrary((*kept, combination), self.title)
 
     def like(self, combination: Combination) -> tuple[Combination, ...]:
         """Return the combinations with the same needle, the same tissue and the same speed (relative 1e-6)."""
         alike = self.search(needle=combination.needle, tissue=combination.tissue)
         return tuple(
-            each for each in alike if math.isclose(each.velocity_mm_s, combination.velocity_mm_s, rel_tol=1e-6)
-            and _pair(each) == _pair(combination)
+            member for member in alike if math.isclose(member.velocity_mm_s, combination.velocity_mm_s, rel_tol=1e-6)
+            and _pair(member) == _pair(combination)
         )  # fmt: skip
 
     def search(self, *, needle: str | None = None, tissue: str | None = None) -> tuple[Combination, ...]:
@@ -115,17 +117,17 @@ class ForceLibrary:
     def matches(
         self, *, needle: str | None = None, tissue: str | None = None, velocity_mm_s: float | None = None
     ) -> tuple[Match, ...]:
-        """Return the combinations that `search` finds as matches.
+        """Return the combinations that fit the names, with the ratio of their speed to a given speed.
 
         If a speed is given, only the combination with the nearest speed is returned for each pair of needle and tissue.
         Raises ModelError if the speed is not positive.
         """
-        found = self.search(needle=needle, tissue=tissue)
+        combinations = self.search(needle=needle, tissue=tissue)
         if velocity_mm_s is None:
-            return tuple(Match(each, 1.0) for each in found)
-        pairs = dict.fromkeys((each.needle, each.tissue) for each in found)
+            return tuple(Match(combination, 1.0) for combination in combinations)
+        pairs = dict.fromkeys((combination.needle, combination.tissue) for combination in combinations)
         nearest = (self.nearest(*pair, velocity_mm_s) for pair in pairs)
-        return tuple(each for each in nearest if each)
+        return tuple(match for match in nearest if match)
 
     def nearest(self, needle: str, tissue: str, velocity_mm_s: float) -> Match | None:
         """Return the combination of this needle and tissue with the nearest speed, by ratio of the speeds.
@@ -167,15 +169,18 @@ def combination_of(found: Identification, records: Sequence[Record], needle: str
         raise DataError(Mistake("velocity_mm_s", value, "must be one speed: identify each speed by itself"))
     errors = {name: value for name, value, _ in found.scores}
     intervals = {
-        name: (each.low, each.high)
-        for name, each in found.estimates.items()
-        if each.identified and name in model.values() and math.isfinite(each.low) and math.isfinite(each.high)
+        name: (estimate.low, estimate.high)
+        for name, estimate in found.estimates.items()
+        if estimate.identified
+        and name in model.values()
+        and math.isfinite(estimate.low)
+        and math.isfinite(estimate.high)
     }
-    trials = ", ".join(each.trial for each in used if each.trial)
+    trials = ", ".join(record.trial for record in used if record.trial)
     return Combination(
-        needle, tissue, float(f"{speed:.4g}"), max(float(np.max(each["depth_mm"])) for each in used), model,
+        needle, tissue, float(f"{speed:.4g}"), max(float(np.max(record["depth_mm"])) for record in used), model,
         f"needleplan identify force: {trials or f'{len(used)} trials'}"[:1000], intervals,
-        errors.get("MAE of the open loop"), tuple(dict.fromkeys(each.digest for each in used if each.digest)),
+        errors.get("MAE of the open loop"), tuple(dict.fromkeys(record.digest for record in used if record.digest)),
     )  # fmt: skip
 
 
@@ -193,5 +198,5 @@ def _folded(name: str) -> str:
     return " ".join(name.casefold().split())
 
 
-def _pair(each: Combination) -> tuple[str, str]:
-    return _folded(each.needle), _folded(each.tissue)
+def _pair(combination: Combination) -> tuple[str, str]:
+    return _folded(combination.needle), _folded(combination.tissue)

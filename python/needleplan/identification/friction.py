@@ -99,7 +99,7 @@ def identify(
         rule = "must be Karnopp, Karnopp by direction, I, II, III-B, or where the length varies, II, Fn(L) or III-A"
         raise DataError(Mistake("models", ", ".join(models), rule))
     if mass or offset:
-        chosen = [on_sensor(each, mass=mass, offset=offset) for each in chosen]
+        chosen = [on_sensor(candidate, mass=mass, offset=offset) for candidate in chosen]
     held_out = True
     if holdout:
         scores = fit_all(chosen, train, mask, holdout, partial(steady, skip_cycles=0), smooth)
@@ -123,7 +123,9 @@ def identify(
     else:
         moved = moving_mass(final, raw, again)
         remarks += moved.remarks
-        estimates = {"mass_kg": moved.estimate} | {name: each for name, each in estimates.items() if name != "mass_kg"}
+        estimates = {"mass_kg": moved.estimate} | {
+            name: estimate for name, estimate in estimates.items() if name != "mass_kg"
+        }
         if not moved.estimate.identified:
             without = final.model.with_values(mass_kg=0.0)
             free = [name for name in final.free if name != "mass_kg"]
@@ -176,7 +178,7 @@ def _scores(scores: Sequence[Score], final: Fit, held_out: bool) -> list[tuple[s
 
 def _findings(scores: Sequence[Score], held_out: bool) -> list[Finding]:
     best = scores[0]
-    held = min(scores, key=lambda each: (math.isnan(each.held_out_rmse_n), each.held_out_rmse_n))
+    held = min(scores, key=lambda score: (math.isnan(score.held_out_rmse_n), score.held_out_rmse_n))
     same = held.candidate.label == best.candidate.label
     says = f"Schwarz' criterion selects {best.candidate.label}; the held-out error selects " + (
         "the same model" if same else f"{held.candidate.label} with {1e3 * held.held_out_rmse_n:.1f} mN"
@@ -195,9 +197,10 @@ def _findings(scores: Sequence[Score], held_out: bool) -> list[Finding]:
 def _limits(scores: Sequence[Score], final: Fit) -> list[str]:
     """Return remarks about parameters that the data do not determine."""
     remarks = [
-        f"{name} is not identified: any value from {each.low:.3g} to {each.high:.3g} {each.unit} fits".rstrip()
-        for name, each in final.estimates.items()
-        if not each.identified and name != "mass_kg"
+        f"{name} is not identified: any value from {estimate.low:.3g} to {estimate.high:.3g} "
+        f"{estimate.unit} fits".rstrip()
+        for name, estimate in final.estimates.items()
+        if not estimate.identified and name != "mass_kg"
     ]
     remarks += final.trades
     if not final.ok:
@@ -210,8 +213,8 @@ def _limits(scores: Sequence[Score], final: Fit) -> list[str]:
         )
     averaged = [score for score in scores if hasattr(score.candidate.model, "exponent")]
     if len(averaged) > 1:
-        errors = [each.fit.rmse for each in averaged]
-        slopes = [each.fit.estimates["mu_c"].value for each in averaged]
+        errors = [score.fit.rmse for score in averaged]
+        slopes = [score.fit.estimates["mu_c"].value for score in averaged]
         if max(errors) < (1 + _SAME_RMSE) * min(errors):
             remarks.append(
                 f"lambda is poorly determined: over the values tried, the RMSE is {1e3 * min(errors):.1f} to "

@@ -71,9 +71,10 @@ def candidates(
     The candidates are Karnopp, Karnopp by direction, I, II and, for each value of lambda in `exponents`, III-B. If the
     inserted length varies by more than 1 mm, "II, Fn(L)" and, for each lambda, III-A are added. If `models` is not
     empty, only candidates are returned whose label without lambda is in `models`. `patch` sets constants of all models
-    by name, such as thickness_mm. The normal force is 1 N, or the power of ten below the friction if that is over 10 N,
-    so that coefficients stay within their ranges. sigma0 of Model I is not fitted, because the data hardly depend on it
-    if the contact length is many times g/sigma0. Raises DataError for records without motion or force.
+    by name, such as thickness_mm. The normal force is 1 N; if the friction is above 10 N, it is the power of ten below
+    the friction, so that coefficients stay within their ranges. sigma0 of Model I is not fitted, because the data
+    hardly depend on it if the contact length is many times g/sigma0. Raises DataError for records without motion or
+    force.
     """
     guess: dict[str, Any] = dict(first_guess(records))
     normal_n = 10.0 ** math.floor(math.log10(guess["mu_c"])) if guess["mu_c"] > _LARGE_N else 1.0
@@ -87,20 +88,20 @@ def candidates(
     varies = float(np.ptp(lengths)) > _VARYING_MM
     surface = ("sigma2", "mu_c", "mu_s", "alpha")
     bristles = ("sigma0", "sigma1", *surface)
-    found = [
+    listed = [
         Candidate("Karnopp", karnopp, ("mu_c", "sigma2")),
         Candidate("Karnopp by direction", directional, ("mu_c", "sigma2", "mu_c_out", "sigma2_out")),
         Candidate("I", QuasiStatic(**static, **base), surface),
         Candidate("II", LumpedLuGre(**guess, **base), bristles),
     ]
     if varies:
-        found.append(Candidate("II, Fn(L)", LumpedLuGre(**guess, **base, profile=Profile.ISOSCELES), bristles))
+        listed.append(Candidate("II, Fn(L)", LumpedLuGre(**guess, **base, profile=Profile.ISOSCELES), bristles))
     for exponent in exponents:
         shapes = [("III-A", Profile.RIGHT)] if varies else []
         for label, profile in [*shapes, ("III-B", Profile.ISOSCELES)]:
             averaged = AveragedLuGre(**guess, **base, profile=profile, exponent=exponent)
-            found.append(Candidate(f"{label}, lambda {exponent:g}", averaged, bristles))
-    return [each for each in found if not models or each.label.split(", lambda")[0] in models]
+            listed.append(Candidate(f"{label}, lambda {exponent:g}", averaged, bristles))
+    return [candidate for candidate in listed if not models or candidate.label.split(", lambda")[0] in models]
 
 
 def fit_all(
@@ -115,18 +116,23 @@ def fit_all(
 
     `mask` selects the samples of `train`, `held_mask` those of `held_out`. `smooth` filters the outputs of the models.
     """
-    fits = [fit(each.model, train, free=each.free, mask=mask, smooth=smooth) for each in chosen]
-    best = min(fits, key=lambda each: each.rmse)
+    fits = [fit(candidate.model, train, free=candidate.free, mask=mask, smooth=smooth) for candidate in chosen]
+    best = min(fits, key=lambda candidate_fit: candidate_fit.rmse)
     count = effective_samples(best.residuals)
     scores = [
-        Score(each, found, rmse_n(found.model, held_out, held_mask, smooth), _bic(found, count))
-        for each, found in zip(chosen, fits, strict=True)
+        Score(
+            candidate,
+            candidate_fit,
+            rmse_n(candidate_fit.model, held_out, held_mask, smooth),
+            _bic(candidate_fit, count),
+        )
+        for candidate, candidate_fit in zip(chosen, fits, strict=True)
     ]
-    return sorted(scores, key=lambda each: each.bic)
+    return sorted(scores, key=lambda score: score.bic)
 
 
-def _bic(found: Fit, count: float) -> float:
-    return count * math.log(max(found.rmse, 1e-12) ** 2) + len(found.free) * math.log(count)
+def _bic(result: Fit, count: float) -> float:
+    return count * math.log(max(result.rmse, 1e-12) ** 2) + len(result.free) * math.log(count)
 
 
 def effective_samples(residuals: Sequence[Array]) -> float:

@@ -91,8 +91,8 @@ class PredictedEnd:
 
     def record(self) -> dict[str, Any]:
         """Return the JSON record that `needleplan predict --json` prints."""
-        own = {field.name: getattr(self, field.name) for field in fields(self) if field.name != "before"}
-        return own | {
+        values = {field.name: getattr(self, field.name) for field in fields(self) if field.name != "before"}
+        return values | {
             "error_mm": self.error_mm, "inside": self.inside,
             "before_mm": [self.before.y_mm, self.before.z_mm],
             "before_region_mm": [self.before.y_region_mm, self.before.z_region_mm],
@@ -181,13 +181,13 @@ def predict_end(
     trials, remarks = in_order([replace(each, role=Role.TRAIN) for each in records_of(earlier)])
     require_one_frame([record, *trials])
     require_different([record, *trials])
-    in_space = all("z_mm" in each.columns and np.ptp(each["z_mm"]) > 0 for each in (record, *trials))
+    in_space = all("z_mm" in trial.columns and np.ptp(trial["z_mm"]) > 0 for trial in (record, *trials))
     fitted = [
-        [insertion_of(each, plane=plane, segments=1, skip_mm=skip_mm) for each in trials]
+        [insertion_of(trial, plane=plane, segments=1, skip_mm=skip_mm) for trial in trials]
         for plane in ("xy", "xz")[: 1 + in_space]
     ]
     remarks += [*frame_remarks(fitted[0]), *odd_remarks(fitted[0])]
-    planes = [shaped_paths(each, layers).paths for each in fitted]
+    planes = [shaped_paths(plane, layers).paths for plane in fitted]
     end = min(path.deepest_mm for path in planes[0]) if depth_mm is None else depth_mm
     used = _used(record, skip_mm, np.inf if until_mm is None else until_mm, fibre)
     if not used.size:

@@ -45,7 +45,7 @@ _CONFORMAL = 19
 
 
 def deviation_mm(length_mm: float) -> float:
-    """Return s0 (mm), the assumed scatter of insertions of a series after a length (mm) that nothing measures."""
+    """Return s0 (mm), the assumed scatter between insertions of a series after an unmeasured length (mm)."""
     return math.hypot(_PLAY_RAD * length_mm, _TRACKER_MM)
 
 
@@ -54,8 +54,8 @@ def typical_scatter(series: Sequence[Array], scatter: float) -> Array:
 
     `scatter` is the assumed s0, which counts as much as `_ASSUMED_COUNT` insertions.
     """
-    squares = sum(np.sum((each - each.mean(axis=0)) ** 2, axis=0) for each in series)
-    count = _ASSUMED_COUNT + sum(len(each) - 1 for each in series)
+    squares = sum(np.sum((one_series - one_series.mean(axis=0)) ** 2, axis=0) for one_series in series)
+    count = _ASSUMED_COUNT + sum(len(one_series) - 1 for one_series in series)
     return np.asarray(np.sqrt((_ASSUMED_COUNT * scatter**2 + squares) / count))
 
 
@@ -142,7 +142,7 @@ def _law(count: int, drift: float, level_sd: float) -> _Law:
 def next_insertion(
     values: Array, scatter: Array | float, *, level_sd: float = math.inf, ordered: bool = True
 ) -> InsertionForecast:
-    """Forecast what the next insertion of a series will measure, with a region of 95 % probability.
+    """Forecast the measured values of the next insertion of a series, with a region of 95 % probability.
 
     A quantity, such as the lateral position of the tip, has the mean level m in the series and the standard deviation s
     between insertions; equations (1) to (8) of docs/explanation/population.md.
@@ -183,11 +183,11 @@ def next_insertion(
     s0 = np.broadcast_to(np.asarray(scatter, float), x.shape[1:])
     if not (np.isfinite(s0) & (s0 > 0)).all():
         raise DataError(Mistake("scatter", f"{scatter}", "must be above 0"))
-    planes = [_Plane(*each, level_sd, ordered) for each in zip(x.T, s0, strict=True)]
+    planes = [_Plane(*column, level_sd, ordered) for column in zip(x.T, s0, strict=True)]
     if len(planes) > 1:  # equation (8)
         ratios = np.array([plane.scatter for plane in planes]) / s0
         shared = (np.sum(ratios**2) - ratios**2) / (len(planes) - 1)
-        planes = [_Plane(*each, level_sd, ordered) for each in zip(x.T, s0 * np.sqrt(shared), strict=True)]
+        planes = [_Plane(*column, level_sd, ordered) for column in zip(x.T, s0 * np.sqrt(shared), strict=True)]
     drift = max(1.0 - float(plane.chances[0]) for plane in planes)
     if len(x) <= _CONFORMAL:
         ends = np.array([plane.interval(_LEVEL ** (1 / len(planes))) for plane in planes])
@@ -254,8 +254,8 @@ def new_series(series: Sequence[Array], within: InsertionForecast, scatter: Arra
     Returns
     -------
     InsertionForecast
-        Forecast from the means of the series, which follow the law of insertions without a drift. The half widths of
-        the region are the roots of the sums of squares of those between series and those of `within`.
+        Forecast from the means of the series, which follow the law of insertions without a drift. The half width of the
+        region is sqrt(b^2 + w^2), with the half widths b of the forecast between series and w of `within`.
 
     Examples
     --------
@@ -267,7 +267,7 @@ def new_series(series: Sequence[Array], within: InsertionForecast, scatter: Arra
     >>> bool((other.high - other.low > 3 * (tip.high - tip.low)).all())
     True
     """
-    between = next_insertion(np.array([np.mean(each, axis=0) for each in series]), scatter, ordered=False)
+    between = next_insertion(np.array([np.mean(one_series, axis=0) for one_series in series]), scatter, ordered=False)
     low = between.values - np.hypot(between.values - between.low, within.values - within.low)
     high = between.values + np.hypot(between.high - between.values, within.high - within.values)
     return InsertionForecast(between.values, low, high, between.drift, between.checked)

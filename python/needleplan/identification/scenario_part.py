@@ -63,10 +63,11 @@ def scenario_part(
 
     `records`, `layers`, `plane` and `skip_mm` are used as in `curvature.identify`, and the path is the same. x is along
     the insertion, with the entry at x = 0. `layers` is 1 to 10, or None for the choice by insertions left out. The last
-    layer extends to the end of the workspace. The tip noise is computed from all trials but those of noise, for the
-    step length and the noise step of the scenario, `[motion] step_mm` and `tip_noise_step_deg`; without them, for one
-    heading of the grid per step at the radius of the whole path. A layer may be straight if another layer bends and the
-    scenario has `motion.step_mm`; a chosen shape that the scenario does not permit is replaced by one curvature.
+    layer extends to the end of the workspace. The tip noise is computed from all trials without the role noise. Its
+    step length and noise step are `[motion] step_mm` and `tip_noise_step_deg` of the scenario; by default, a step turns
+    by one heading of the grid at the radius of the whole path. A layer may be straight if another layer bends and the
+    scenario has `motion.step_mm`. If `layers` is None and the scenario does not permit the chosen shape, the result has
+    one curvature.
 
     Raises DataError if records or `layers` cannot be used or a layer may be straight otherwise, and ScenarioError if
     the identified values violate a rule of the scenario.
@@ -82,7 +83,9 @@ def scenario_part(
     if low >= high:
         raise DataError(Mistake("x_mm", "", "the insertions have no common range of depth"))
     training = [
-        each for each, record in zip(insertions, used, strict=True) if record.role in (Role.TRAIN, Role.REFERENCE)
+        insertion
+        for insertion, record in zip(insertions, used, strict=True)
+        if record.role in (Role.TRAIN, Role.REFERENCE)
     ] or insertions
     whole = mean_path(shaped_paths(training, 1).paths)
     choice = shaped_paths(training, layers)
@@ -135,11 +138,11 @@ def _plannable(pieces: Sequence[PathPiece], scenario: Scenario) -> tuple[tuple[P
     set to 0. Raises DataError if no piece surely bends, or a piece may be straight and the scenario has no `step_mm`.
     """
     bent = [each for each in pieces if not each.low_per_mm <= 0 <= each.high_per_mm]
-    found: list[PathPiece] = []
+    path_pieces: list[PathPiece] = []
     remarks: list[str] = []
     for piece in pieces:
         if piece in bent:
-            found.append(piece)
+            path_pieces.append(piece)
             continue
         value = f"{piece.low_per_mm:.3g} to {piece.high_per_mm:.3g} from x = {piece.low_mm:.4g} mm on"
         if not bent or scenario.motion.step_mm is None:
@@ -147,10 +150,10 @@ def _plannable(pieces: Sequence[PathPiece], scenario: Scenario) -> tuple[tuple[P
             rule += "; with motion.step_mm in the scenario, a layer may be straight" if bent else ""
             raise DataError(Mistake("curvature_per_mm", value, rule))
         same = piece.curvature_per_mm * bent[0].curvature_per_mm > 0
-        found.append(piece if same else replace(piece, curvature_per_mm=0.0))
+        path_pieces.append(piece if same else replace(piece, curvature_per_mm=0.0))
         used = f"radius {1 / abs(piece.curvature_per_mm):.4g} mm" if same else "a straight layer"
         remarks.append(f"the curvature {value} contains a straight path; planned with {used}")
-    return tuple(found), remarks
+    return tuple(path_pieces), remarks
 
 
 def _noise(

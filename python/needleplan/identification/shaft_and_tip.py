@@ -80,18 +80,18 @@ def identify(records: Sequence[Record], *, average: int = 1, starts: int = 2) ->
         raise DataError(Mistake("depth_mm", "", rule))
     sensor = MovingAverage(average)
     mask = partial(settled, samples=sensor.samples)
-    found = [fit(_start(record), record, smooth=sensor.apply, mask=mask, starts=starts, spread=0.7) for record in train]
-    estimates = _means(found)
-    good = all(each.status is not FitStatus.DIVERGED for each in found)
-    model = ShaftAndTip(**{name: each.value for name, each in estimates.items()})
-    scores = [("RMSE of the fits", float(np.sqrt(np.mean([each.rmse**2 for each in found]))), "N")]
+    fits = [fit(_start(record), record, smooth=sensor.apply, mask=mask, starts=starts, spread=0.7) for record in train]
+    estimates = _means(fits)
+    good = all(trial_fit.status is not FitStatus.DIVERGED for trial_fit in fits)
+    model = ShaftAndTip(**{name: estimate.value for name, estimate in estimates.items()})
+    scores = [("RMSE of the fits", float(np.sqrt(np.mean([trial_fit.rmse**2 for trial_fit in fits]))), "N")]
     scores += [("MAE of the mean model", mean_absolute_error(model, train, smooth=sensor), "N")]
     if trials.holdout:
         scores += [("MAE of the mean model, held out", mean_absolute_error(model, trials.holdout, smooth=sensor), "N")]
-    findings = [*_agreement(found), *_beside_noise(found, trials.noise)]
+    findings = [*_agreement(fits), *_beside_noise(fits, trials.noise)]
     if len(train) == 1:
-        findings += residual_findings(found[0], train)
-    remarks = (*trials.remarks, *faults, *_limits(found, estimates, train), averaged(average))
+        findings += residual_findings(fits[0], train)
+    remarks = (*trials.remarks, *faults, *_limits(fits, estimates, train), averaged(average))
     return Identification(
         "shaft-and-tip", model if good else None, estimates, tuple(scores), tuple(findings), remarks,
         partial(draw_force, model=model, records=[*train, *trials.holdout], sensor=sensor, counts=mask),
@@ -113,13 +113,15 @@ def _start(record: Record) -> ShaftAndTip:
     return ShaftAndTip(friction=friction, cutting=cutting, onset_mm=_ONSET_MM, presliding_mm=_PRESLIDING_MM)
 
 
-def _means(found: Sequence[Fit]) -> dict[str, Estimate]:
+def _means(fits: Sequence[Fit]) -> dict[str, Estimate]:
     """Return the mean of each parameter over the fits of the trials; the estimates of the fit itself for one trial."""
-    if len(found) == 1:
-        return dict(found[0].estimates)
+    if len(fits) == 1:
+        return dict(fits[0].estimates)
     return {
         name: mean_estimate(
-            parameter, [each.estimates[name].value for each in found], [each.estimates[name].sd for each in found]
+            parameter,
+            [trial_fit.estimates[name].value for trial_fit in fits],
+            [trial_fit.estimates[name].sd for trial_fit in fits],
         )
         for name, parameter in _PARAMETERS.items()
     }
@@ -128,45 +130,45 @@ def _means(found: Sequence[Fit]) -> dict[str, Estimate]:
 _PARAMETERS = ShaftAndTip.parameters()
 
 
-def _agreement(found: Sequence[Fit]) -> list[Finding]:
+def _agreement(fits: Sequence[Fit]) -> list[Finding]:
     """Return a finding for each parameter on whether the trials agree (Cochran's Q), in its fit coordinate."""
     findings = []
     for name, parameter in _PARAMETERS.items():
-        known = [each.estimates[name] for each in found if np.isfinite(each.estimates[name].sd)]
+        known = [trial_fit.estimates[name] for trial_fit in fits if np.isfinite(trial_fit.estimates[name].sd)]
         if len(known) < 2:
             continue
-        coordinates = [parameter.coordinate(each.value) for each in known]
-        test = agreement_of(coordinates, [each.sd / parameter.slope(each.value) for each in known])
+        coordinates = [parameter.coordinate(estimate.value) for estimate in known]
+        test = agreement_of(coordinates, [estimate.sd / parameter.slope(estimate.value) for estimate in known])
         says = f"{name} is the same in all trials" if test.agree else f"{name} differs from trial to trial"
         findings.append(Finding(f"agreement of trials, {name}", test.q, test.p_value, says))
     return findings
 
 
-def _beside_noise(found: Sequence[Fit], noise: Sequence[Record]) -> list[Finding]:
+def _beside_noise(fits: Sequence[Fit], noise: Sequence[Record]) -> list[Finding]:
     """Return the finding on whether the residuals are the noise of the sensor; none without records of noise."""
     if not noise:
         return []
     sd = float(np.sqrt(np.mean([np.nanvar(record["force_n"]) for record in noise])))
-    ratio = float(np.sqrt(np.mean([each.rmse**2 for each in found]))) / sd if sd else float("inf")
+    ratio = float(np.sqrt(np.mean([trial_fit.rmse**2 for trial_fit in fits]))) / sd if sd else float("inf")
     says = "the residual is the noise of the sensor" if ratio < 1.2 else (
         "the residual exceeds the sensor's noise: `needleplan diagnose` finds what the model lacks"
     )  # fmt: skip
     return [Finding("residuals over the sensor's noise", ratio, None, says)]
 
 
-def _limits(found: Sequence[Fit], estimates: dict[str, Estimate], train: Sequence[Record]) -> list[str]:
+def _limits(fits: Sequence[Fit], estimates: dict[str, Estimate], train: Sequence[Record]) -> list[str]:
     """Return remarks on parameters that the data do not determine, fits that ended early, and missing retractions."""
     remarks = [
-        f"{name} is not identified: any value from {each.low:.3g} to {each.high:.3g} {each.unit} fits"
-        for name, each in estimates.items()
-        if not each.identified
+        f"{name} is not identified: any value from {estimate.low:.3g} to {estimate.high:.3g} {estimate.unit} fits"
+        for name, estimate in estimates.items()
+        if not estimate.identified
     ]
     names = [record.trial or "the trial" for record in train]
-    remarks += [f"{name}: {trade}" for name, each in zip(names, found, strict=True) for trade in each.trades]
+    remarks += [f"{name}: {trade}" for name, trial_fit in zip(names, fits, strict=True) for trade in trial_fit.trades]
     remarks += [
-        f"{name}: the fit ended with: {each.status}"
-        for name, each in zip(names, found, strict=True)
-        if each.status is not FitStatus.CONVERGED
+        f"{name}: the fit ended with: {trial_fit.status}"
+        for name, trial_fit in zip(names, fits, strict=True)
+        if trial_fit.status is not FitStatus.CONVERGED
     ]
     if not has_retraction(train):
         remarks.append("there is no retraction: friction and cutting force are hardly separable; record one")

@@ -66,13 +66,15 @@ def identify(
     ends = [_end(record, fibre) for record in trials.train]
     fits = [fit_shape(start, [depth], fibre.from_tip_mm, seen[None], free=free) for depth, seen in ends]
     estimates = {name: _mean([fit.estimates[name] for fit in fits]) for name in free}
-    found = start.with_values(**{name: each.value for name, each in estimates.items()})
+    model = start.with_values(**{name: estimate.value for name, estimate in estimates.items()})
     depth = float(np.mean([depth for depth, _ in ends]))
-    tip = found.shape(depth, depth).position_mm[0]
+    tip = model.shape(depth, depth).position_mm[0]
     scores = [("RMS of the residuals", float(np.sqrt(np.mean([fit.rms_per_mm**2 for fit in fits]))), "1/mm")]
     scores += [(f"tip {axis} at {depth:.4g} mm", float(value), "mm") for axis, value in zip("xyz", tip, strict=True)]
     remarks = [*trials.remarks]
-    remarks += [f"{name}: the data do not determine it" for name, each in estimates.items() if not each.identified]
+    remarks += [
+        f"{name}: the data do not determine it" for name, estimate in estimates.items() if not estimate.identified
+    ]
     remarks += [
         f"the sensor {place:g} mm from the tip is not in the tissue in any trial, and was not used"
         for place in fibre.from_tip_mm
@@ -81,8 +83,8 @@ def identify(
     if boundary_mm is not None and all(boundary_mm >= depth - fibre.from_tip_mm[0] for depth, _ in ends):
         remarks.append("no sensor is in the second layer: its constant comes from the shape of the first layer alone")
     return Identification(
-        "shape", found, estimates, tuple(scores), (), tuple(remarks),
-        partial(_draw, ends=ends, sensors=fibre, found=found), fibre=fibre,
+        "shape", model, estimates, tuple(scores), (), tuple(remarks),
+        partial(_draw, ends=ends, sensors=fibre, model=model), fibre=fibre,
     )  # fmt: skip
 
 
@@ -101,21 +103,21 @@ def _mean(estimates: Sequence[Estimate]) -> Estimate:
     """Return the mean over trials with its 95 % interval; the estimate itself for one trial."""
     if len(estimates) == 1:
         return estimates[0]
-    mean = combine([each.value for each in estimates], [each.sd for each in estimates])
-    return mean.estimate("1/mm", identified=all(each.identified for each in estimates))
+    mean = combine([estimate.value for estimate in estimates], [estimate.sd for estimate in estimates])
+    return mean.estimate("1/mm", identified=all(estimate.identified for estimate in estimates))
 
 
-def _draw(figure: Figure, ends: Sequence[tuple[float, Array]], sensors: FibreSensors, found: LayeredShape) -> None:
+def _draw(figure: Figure, ends: Sequence[tuple[float, Array]], sensors: FibreSensors, model: LayeredShape) -> None:
     """Draw the measured curvatures with those of the model, and the shape at the mean depth."""
     depth = float(np.mean([depth for depth, _ in ends]))
-    shape = found.shape(depth, np.linspace(0.0, depth, 201))
-    left, right = figure.subplots(1, 2)
+    shape = model.shape(depth, np.linspace(0.0, depth, 201))
+    above, below = figure.subplots(2, 1, height_ratios=(2, 1))  # curvatures above the shape, which is long and thin
     for axis, name in enumerate("yz"):
-        (line,) = left.plot(shape.place_mm, 1e3 * shape.curvature_per_mm[:, axis], label=f"along {name}")
+        (line,) = above.plot(shape.place_mm, 1e3 * shape.curvature_per_mm[:, axis], label=f"along {name}")
         for deepest, seen in ends:
-            left.plot(deepest - np.array(sensors.from_tip_mm), 1e3 * seen[:, axis], "o", color=line.get_color())
-        right.plot(shape.position_mm[:, 0], shape.position_mm[:, 1 + axis], label=name)
-    left.set(xlabel="distance from the entry (mm)", ylabel="curvature (1/m)", title="sensors and model")
-    right.set(xlabel="x (mm)", ylabel="y, z (mm)", title="shape", aspect="equal")
-    left.legend()
-    right.legend()
+            above.plot(deepest - np.array(sensors.from_tip_mm), 1e3 * seen[:, axis], "o", color=line.get_color())
+        below.plot(shape.position_mm[:, 0], shape.position_mm[:, 1 + axis], label=name)
+    above.set(xlabel="distance from the entry (mm)", ylabel="curvature (1/m)", title="sensors and model")
+    below.set(xlabel="x (mm)", ylabel="y, z (mm)", title="shape", aspect="equal")
+    above.legend()
+    below.legend()

@@ -37,7 +37,7 @@ _POSES = 5
 
 @dataclass(frozen=True)
 class SpaceInsertion:
-    """Samples of one insertion, in the order of their arrival, and what they refer to.
+    """Samples of one insertion, in the order of their arrival, with the registration and the zeros of the stage.
 
     `registration` leads to the frame of the lattice. `entry_depth_mm` and `roll_left_rad` are the zeros of the stage.
     """
@@ -95,14 +95,14 @@ def space_curvature(scenario: SpaceScenario, insertions: Sequence[SpaceInsertion
         If there is no insertion, one has no samples of the needle at rest before its entry or loses the tip, or the
         ratio is not above 0.
     """
-    found = [(insertion.name, *_of_one(scenario, insertion)) for insertion in insertions]
-    if not found:
+    ratios = [(insertion.name, *_of_one(scenario, insertion)) for insertion in insertions]
+    if not ratios:
         raise DataError(Mistake("insertions", "", "must be at least one"))
-    mean = combine([ratio for _, ratio, _ in found], [sd for _, _, sd in found])
+    mean = combine([ratio for _, ratio, _ in ratios], [sd for _, _, sd in ratios])
     if not mean.value > 0:
         rule = "must be above 0: the insertions do not show to which side the needle bends"
         raise DataError(Mistake("ratio of the curvature", f"{mean.value:.3g}", rule))
-    return SpaceCurvature(mean.value, mean.sd, mean.interval(), tuple(found))
+    return SpaceCurvature(mean.value, mean.sd, mean.interval(), tuple(ratios))
 
 
 def _of_one(scenario: SpaceScenario, insertion: SpaceInsertion) -> tuple[float, float]:
@@ -115,11 +115,11 @@ def _of_one(scenario: SpaceScenario, insertion: SpaceInsertion) -> tuple[float, 
             tip.predict(replace(sample, depth_mm=depth, roll_rad=roll))
         else:
             tip.update(sample)
-    found = tip.tip
-    if not found.usable:
-        rule = f"must end with a known tip, and its status is {found.status}"
+    estimate = tip.tip
+    if not estimate.usable:
+        rule = f"must end with a known tip, and its status is {estimate.status}"
         raise DataError(Mistake("insertion", insertion.name, rule))
-    return found.curvature_factor, found.curvature_factor_sd
+    return estimate.curvature_factor, estimate.curvature_factor_sd
 
 
 def _entry(insertion: SpaceInsertion) -> tuple[float, ...]:

@@ -82,8 +82,8 @@ def identify(
     starts
         Number of starting points of the fit.
     marker
-        Name of a column with the displacement (mm), along the needle, of a sensor in the tissue. The lag computed from
-        it is reported too. None: no such column.
+        Name of a column with the displacement (mm), along the needle, of a sensor in the tissue. The lag of this sensor
+        is reported too. None: no such column.
 
     Returns
     -------
@@ -107,29 +107,29 @@ def identify(
     joint = with_scatter(
         fit_on_tissue(train, average=average, starts=starts), train, smooth=MovingAverage(average).apply
     )
-    found, model = joint.fit, joint.fit.model
+    result, model = joint.fit, joint.fit.model
     assert isinstance(model, LumpedOnTissue)
     rigid = _rigid(train, model, average)
-    lag, lag_sd = lag_with_sd(found, record, excitation.frequency_hz)
+    lag, lag_sd = lag_with_sd(result, record, excitation.frequency_hz)
     scores = [
         ("frequency of the motion", excitation.frequency_hz, "Hz"),
         ("amplitude of the motion", excitation.amplitude_mm, "mm"),
         ("lag, fitted tissue", float(np.degrees(lag)), "deg"),
         ("lag, fitted tissue, standard deviation", float(np.degrees(lag_sd)), "deg"),
         *_observed(tuned, excitation),
-        ("RMSE, friction on tissue", found.rmse, "N"),
+        ("RMSE, friction on tissue", result.rmse, "N"),
         ("RMSE, friction on rigid tissue", rigid.rmse, "N"),
         *((f"RMSE on {each.trial or 'held-out trial'}", _rmse(model, each, average), "N") for each in holdout),
         *_marked(record, excitation, marker),
     ]
     findings = [
         _agreement(tuned, excitation, lag, lag_sd),
-        _moves(found, rigid),
-        *residual_findings(found, train),
+        _moves(result, rigid),
+        *residual_findings(result, train),
     ]
-    remarks += [*joint.remarks, *_limits(found, tuned, excitations), averaged(average)]
+    remarks += [*joint.remarks, *_limits(result, tuned, excitations), averaged(average)]
     return Identification(
-        "tissue-motion", model if found.ok else None, dict(found.estimates), tuple(scores), tuple(findings),
+        "tissue-motion", model if result.ok else None, dict(result.estimates), tuple(scores), tuple(findings),
         tuple(remarks), partial(_draw, record=record, model=model, projection=tuned.projection, average=average),
     )  # fmt: skip
 
@@ -236,29 +236,30 @@ def _agreement(tuned: SlowObserver, excitation: Excitation, lag: float, lag_sd: 
     return Finding(name, score, p_value, f"the observer lags by {np.degrees(observed):.2f} deg, {fitted}; {verdict}")
 
 
-def _moves(found: Fit, rigid: Fit) -> Finding:
+def _moves(result: Fit, rigid: Fit) -> Finding:
     """Return the finding on how much the RMSE decreases if the tissue may move."""
-    gain = 1 - found.rmse / rigid.rmse if rigid.rmse > 0 else 0.0
-    says = f"moving tissue reduces the RMSE from {1e3 * rigid.rmse:.1f} to {1e3 * found.rmse:.1f} mN"
+    gain = 1 - result.rmse / rigid.rmse if rigid.rmse > 0 else 0.0
+    says = f"moving tissue reduces the RMSE from {1e3 * rigid.rmse:.1f} to {1e3 * result.rmse:.1f} mN"
     if gain < _NEEDED:
         says += ": hardly at all, so the data give at best a lower bound of the stiffness"
     return Finding("does the tissue move", gain, None, says)
 
 
-def _limits(found: Fit, tuned: SlowObserver, excitations: Sequence[Excitation]) -> list[str]:
+def _limits(result: Fit, tuned: SlowObserver, excitations: Sequence[Excitation]) -> list[str]:
     """Return remarks about parameters that the records do not determine, and about records that would help."""
     remarks = [
-        f"{name} is not identified: any value from {each.low:.3g} to {each.high:.3g} {each.unit} fits".rstrip()
-        for name, each in found.estimates.items()
-        if not each.identified
+        f"{name} is not identified: any value from {estimate.low:.3g} to {estimate.high:.3g} "
+        f"{estimate.unit} fits".rstrip()
+        for name, estimate in result.estimates.items()
+        if not estimate.identified
     ]
-    if not found.ok:
-        remarks.append(f"the fit ended with: {found.status}")
+    if not result.ok:
+        remarks.append(f"the fit ended with: {result.status}")
     amplitudes = [excitation.amplitude_mm for excitation in excitations]
     frequencies = [excitation.frequency_hz for excitation in excitations]
     if max(amplitudes) < _SAME * min(amplitudes) and max(frequencies) < _SAME * min(frequencies):
-        bristles = {name: found.estimates[name] for name in ("sigma0", "sigma1") if name in found.estimates}
-        known = ", ".join(f"{name} to {100 * each.sd / each.value:.0f} %" for name, each in bristles.items())
+        bristles = {name: result.estimates[name] for name in ("sigma0", "sigma1") if name in result.estimates}
+        known = ", ".join(f"{name} to {100 * bristle.sd / bristle.value:.0f} %" for name, bristle in bristles.items())
         remarks.append(
             f"one amplitude and one frequency ({amplitudes[0]:.0f} mm, {frequencies[0]:.2g} Hz): compliance of the "
             f"tissue, bending of the bristles ({known}) and delays of sensors have the same effect; record a second "
@@ -296,12 +297,12 @@ def _draw(figure: Figure, record: Record, model: LumpedOnTissue, projection: Pro
         heading = rf"normalised, $\alpha_1$ = {projection.slow.alpha1:.1f}"
         panels.append(("velocity by the slow observer (mm/s)", heading, slow, late.apply(simulated), late.apply(force)))
     axes = np.atleast_1d(figure.subplots(1, len(panels), sharey=True))
-    for each, (label, heading, velocity, fitted, measured) in zip(axes, panels, strict=True):
-        each.axhline(0, color=GREY, linewidth=0.6)
-        each.axvline(0, color=GREY, linewidth=0.6)
-        each.plot(velocity[shown], measured[shown], ".", color=BLUE, markersize=1, alpha=0.4, label="measured")
-        each.plot(velocity[shown], fitted[shown], color=VERMILLION, linewidth=1.0, label="fitted")
-        each.set_xlabel(label)
-        title(each, heading)
+    for axis, (label, heading, velocity, fitted, measured) in zip(axes, panels, strict=True):
+        axis.axhline(0, color=GREY, linewidth=0.6)
+        axis.axvline(0, color=GREY, linewidth=0.6)
+        axis.plot(velocity[shown], measured[shown], ".", color=BLUE, markersize=1, alpha=0.4, label="measured")
+        axis.plot(velocity[shown], fitted[shown], color=VERMILLION, linewidth=1.0, label="fitted")
+        axis.set_xlabel(label)
+        title(axis, heading)
     axes[0].set_ylabel("axial force (N)")
     axes[0].legend(frameon=False, fontsize=8, loc="upper left")

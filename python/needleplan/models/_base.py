@@ -99,12 +99,12 @@ class Model(ABC):
 
     def __post_init__(self) -> None:
         mistakes = []
-        for name, what in parameters_of(self).items():
+        for name, parameter in parameters_of(self).items():
             value = getattr(self, name)
             if not isinstance(value, (int, float, np.number)) or isinstance(value, bool):
-                mistakes.append(Mistake(name, str(value), f"must be a number in {what.unit or '1'}"))
-            elif (near := what.in_range(float(value))) is None:  # also for NaN
-                mistakes.append(Mistake(name, f"{value:.10g}", what.range_rule()))
+                mistakes.append(Mistake(name, str(value), f"must be a number in {parameter.unit or '1'}"))
+            elif (near := parameter.in_range(float(value))) is None:  # also for NaN
+                mistakes.append(Mistake(name, f"{value:.10g}", parameter.range_rule()))
             else:
                 object.__setattr__(self, name, near)
         if mistakes:

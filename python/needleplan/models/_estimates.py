@@ -135,14 +135,14 @@ class Fit:
 
     @property
     def trades(self) -> tuple[str, ...]:
-        """A sentence for every set of parameters that the data determine only together, with all their names."""
-        found = []
-        for each in self.undetermined:
-            names = sorted(each, key=lambda name: -abs(each[name]))
+        """A sentence for every set of parameters of which the data determine a combination only."""
+        sentences = []
+        for direction in self.undetermined:
+            names = sorted(direction, key=lambda name: -abs(direction[name]))
             if len(names) > 1:
                 listed = f"{', '.join(names[:-1])} and {names[-1]}"
-                found.append(f"the data determine {listed} only together: other values of all of them fit as well")
-        return tuple(found)
+                sentences.append(f"the data determine {listed} only together: other values of all of them fit as well")
+        return tuple(sentences)
 
     @property
     def ok(self) -> bool:

@@ -83,8 +83,7 @@ def fit(
     seed : int
         Seed of the further starts.
     lags : int, optional
-        m, the number of lags of the kernel estimator of the covariance. None: autoregressive noise, whose order the BIC
-        chooses.
+        Number of lags of a kernel estimator of the covariance. None: autoregressive noise, whose order the BIC chooses.
     max_evaluations : int
         Limit of the evaluations of the residuals for each start, without those for the Jacobian.
 
@@ -140,7 +139,7 @@ def fit(
 
 def _free(model: Model, free: Sequence[str] | None) -> tuple[str, ...]:
     if free is None:
-        return tuple(name for name, what in model.parameters().items() if what.free)
+        return tuple(name for name, parameter in model.parameters().items() if parameter.free)
     if not free:
         raise ModelError(Mistake("free", "", "must name a parameter"), model.name)
     _require_known(model, free)
@@ -178,10 +177,13 @@ class _Problem:
         ]
         self.samples = int(sum(each.sum() for each in self.masks))
         self._require_enough()
-        ranges = [bounds.get(name, (what.lower, what.upper)) for name, what in zip(free, self.what, strict=True)]
+        ranges = [
+            bounds.get(name, (parameter.lower, parameter.upper))
+            for name, parameter in zip(free, self.what, strict=True)
+        ]
         self.bounds = (
-            np.array([what.coordinate(low) for what, (low, _) in zip(self.what, ranges, strict=True)]),
-            np.array([what.coordinate(high) for what, (_, high) in zip(self.what, ranges, strict=True)]),
+            np.array([parameter.coordinate(low) for parameter, (low, _) in zip(self.what, ranges, strict=True)]),
+            np.array([parameter.coordinate(high) for parameter, (_, high) in zip(self.what, ranges, strict=True)]),
         )
 
     def _require_enough(self) -> None:
@@ -191,13 +193,15 @@ class _Problem:
         if all(np.ptp(motion.depth_mm) == 0 and not motion.velocity_mm_s.any() for motion in self.motions):
             raise DataError(Mistake("depth_mm", "", "is constant: a needle at rest does not determine any parameter"))
         counted = [measured[mask] for measured, mask in zip(self.measured, self.masks, strict=True) if mask.any()]
-        if all(np.ptp(each) == 0 for each in counted):
+        if all(np.ptp(measured) == 0 for measured in counted):
             rule = "is constant to the last bit: no sensor measures that, and nothing can be identified from it"
             raise DataError(Mistake(self.model.channel, f"{counted[0][0]:g}", rule))
 
     def start(self) -> Array:
         values = [getattr(self.model, name) for name in self.free]
-        return self.inside(np.array([what.coordinate(value) for what, value in zip(self.what, values, strict=True)]))
+        return self.inside(
+            np.array([parameter.coordinate(value) for parameter, value in zip(self.what, values, strict=True)])
+        )
 
     def inside(self, coordinates: Array) -> Array:
         """Return the coordinates, clipped to lie strictly within the bounds, shape (p,)."""
@@ -207,8 +211,8 @@ class _Problem:
 
     def model_at(self, coordinates: Array) -> Model:
         values = {
-            name: float(np.clip(what.value(float(u)), what.lower, what.upper))
-            for name, what, u in zip(self.free, self.what, coordinates, strict=True)
+            name: float(np.clip(parameter.value(float(u)), parameter.lower, parameter.upper))
+            for name, parameter, u in zip(self.free, self.what, coordinates, strict=True)
         }
         return self.model.with_values(**values)
 
@@ -243,18 +247,23 @@ class _Problem:
             else FitStatus.CONVERGED
         )  # fmt: skip
         estimates = {}
-        for index, (name, what) in enumerate(zip(self.free, self.what, strict=True)):
+        for index, (name, parameter) in enumerate(zip(self.free, self.what, strict=True)):
             sd, u, value = float(np.sqrt(covariance[index, index])), float(coordinates[index]), getattr(model, name)
             ends = [float(np.clip(u + sign * quantiles[index] * sd, low[index], high[index])) for sign in (-1, 1)]
             known = sd < _UNKNOWN_SD and not at_bound[index]
             estimates[name] = Estimate(
-                value, sd * what.slope(value), what.value(ends[0]), what.value(ends[1]), what.unit, known
+                value,
+                sd * parameter.slope(value),
+                parameter.value(ends[0]),
+                parameter.value(ends[1]),
+                parameter.unit,
+                known,
             )
         left = [
             np.where(mask, measured - output, np.nan)
             for measured, output, mask in zip(self.measured, self.simulated(coordinates), self.masks, strict=True)
         ]
-        total = sum(each.size for each in self.measured)
+        total = sum(measured.size for measured in self.measured)
         rmse = float(np.sqrt(np.mean(residual**2)))
         return Fit(
             model, status, self.free, estimates, covariance, tuple(left), rmse, self.samples, total - self.samples,

@@ -129,7 +129,7 @@ def noise_model(residuals: Sequence[Array], jacobians: Sequence[Array], inverse:
 def _removed(noise: NoiseModel, jacobians: Sequence[Array], inverse: Array, most: int) -> Array:
     """Return the sums, for every lag, by which a fit reduces the products of unit variance, shape (most + 1,)."""
     spread = [noise.spread(jacobian) for jacobian in jacobians]
-    scores = np.sum([each.T @ wide for each, wide in zip(jacobians, spread, strict=True)], axis=0)
+    scores = np.sum([jacobian.T @ wide for jacobian, wide in zip(jacobians, spread, strict=True)], axis=0)
     inner = inverse @ scores @ inverse
     total = np.zeros(most + 1)
     for each, wide in zip(jacobians, spread, strict=True):
@@ -175,10 +175,10 @@ def _correlation(coefficients: Array, covariance: Array, most: int) -> Array:
     order = coefficients.size
     if not order:
         return np.ones(1)
-    found = (covariance[: order + 1] / covariance[0]).tolist()
+    correlation = (covariance[: order + 1] / covariance[0]).tolist()
     backwards = coefficients[::-1]
     quiet = 0
-    while len(found) < most and quiet < 2 * order + 8:
-        found.append(float(backwards @ found[-order:]))
-        quiet = quiet + 1 if abs(found[-1]) < _NEGLIGIBLE else 0
-    return np.array(found)
+    while len(correlation) < most and quiet < 2 * order + 8:
+        correlation.append(float(backwards @ correlation[-order:]))
+        quiet = quiet + 1 if abs(correlation[-1]) < _NEGLIGIBLE else 0
+    return np.array(correlation)

@@ -70,7 +70,7 @@ class Parameter:
     free: bool
 
     def in_range(self, value: float) -> float | None:
-        """Return a value in the range, and the bound for a value beyond it by rounding errors; None for other values.
+        """Return a value within the range, the bound for a value beyond it by rounding errors, or None.
 
         A fit ends at the coordinate of a bound, whose value may lie beyond the bound in the last digits.
         """
@@ -159,8 +159,8 @@ def constant(
     default : Any
         Default value; without one, the caller must give the value.
     typical : float, optional
-        Typical magnitude, the scale if a fit estimates the constant after all. The default is that of the default
-        value, or 1 in its unit. It does not come from the range, which is often a thousand times wider.
+        Typical magnitude, which scales the constant if a fit estimates it after all. Default: the magnitude of the
+        default value, or 1 in its unit.
 
     Returns
     -------

@@ -141,12 +141,12 @@ class _NameRule:
             raise Violation(error.mistakes[0].rule, value) from None
 
 
-def _parameters_of(what: type[Model] | Effect) -> Rule:
+def _parameters_of(kind: type[Model] | Effect) -> Rule:
     """Return the rule for the table of all parameters of a model or an effect."""
-    if isinstance(what, Effect):
-        return Keyed({name: _ParameterRule(each, ordered=False) for name, each in what.parameters.items()})
-    known = what.parameters()
-    return Keyed({name: _ParameterRule(each) for name, each in known.items()}, _required(what, known))
+    if isinstance(kind, Effect):
+        return Keyed({name: _ParameterRule(parameter, ordered=False) for name, parameter in kind.parameters.items()})
+    known = kind.parameters()
+    return Keyed({name: _ParameterRule(parameter) for name, parameter in known.items()}, _required(kind, known))
 
 
 def _options_of(kind: type[Model]) -> Rule:
@@ -290,7 +290,7 @@ class ModelFile:
         values, estimates = _split(read.parameters)
         model: Model = read.kind(**values, **read.options)
         if read.effect:
-            model = AugmentedModel(model, tuple(each.made for each in read.effect))
+            model = AugmentedModel(model, tuple(effect.made for effect in read.effect))
         return cls(model, estimates, read.parent, read.remarks, read.title, read.made_by, read.fibre)
 
     def to_toml(self) -> str:
@@ -327,23 +327,23 @@ _MAY_LACK = ("parameters", "options", "fibre", "parent", "effect")
 
 
 def _raw_effect(added: AddedEffect) -> dict[str, Any]:
-    what = effect_named(added.name).parameters
+    parameters = effect_named(added.name).parameters
     texts = {"name": added.name, "version": added.version, "found_by": added.found_by}
-    return {**texts, "parameters": _raw_parameters(what, added.values, added.estimates)}
+    return {**texts, "parameters": _raw_parameters(parameters, added.values, added.estimates)}
 
 
 def _raw_parameters(
-    what: Mapping[str, Parameter], values: Mapping[str, float], estimates: Mapping[str, Estimate]
+    parameters: Mapping[str, Parameter], values: Mapping[str, float], estimates: Mapping[str, Estimate]
 ) -> dict[str, dict[str, Any]]:
     raw: dict[str, dict[str, Any]] = {}
     for name, value in values.items():
-        raw[name] = {"value": value, "unit": what[name].unit}
+        raw[name] = {"value": value, "unit": parameters[name].unit}
         if name in estimates:
-            each = estimates[name]
-            raw[name] |= {"sd": float(each.sd), "low": float(each.low), "high": float(each.high)}
-            raw[name]["identified"] = bool(each.identified)
-            if each.between_sd is not None:
-                raw[name]["between_sd"] = float(each.between_sd)
+            estimate = estimates[name]
+            raw[name] |= {"sd": float(estimate.sd), "low": float(estimate.low), "high": float(estimate.high)}
+            raw[name]["identified"] = bool(estimate.identified)
+            if estimate.between_sd is not None:
+                raw[name]["between_sd"] = float(estimate.between_sd)
     return raw
 
 
@@ -354,10 +354,10 @@ def _split(parameters: Mapping[str, _Entry]) -> tuple[dict[str, float], dict[str
 
 
 def _options(kind: type[Model]) -> list[str]:
-    return [each.name for each in fields(kind) if each.name not in kind.parameters()]
+    return [entry.name for entry in fields(kind) if entry.name not in kind.parameters()]
 
 
 def _required(kind: type[Model], names: Mapping[str, object]) -> dict[str, str]:
     """Return the names whose fields have no default, as the argument `required` of `Keyed`."""
-    needed = (each for each in fields(kind) if each.default is MISSING and each.default_factory is MISSING)
-    return {each.name: "" for each in needed if each.name in names}
+    needed = (entry for entry in fields(kind) if entry.default is MISSING and entry.default_factory is MISSING)
+    return {entry.name: "" for entry in needed if entry.name in names}

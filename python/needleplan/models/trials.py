@@ -80,7 +80,7 @@ def _quantile(degrees: int, level: float) -> float:
 
 @dataclass(frozen=True)
 class TrialMean:
-    """Mean over trials, or another combination of the coefficients of a regression over trials.
+    """Mean over trials, or a linear combination of the coefficients of a regression over trials.
 
     Parameters
     ----------
@@ -127,7 +127,7 @@ class TrialMean:
         return self.value - reach, self.value + reach
 
     def zero_test(self) -> tuple[float, float]:
-        """Return Student's t of theta = 0, and the probability of one at least as large, two-sided."""
+        """Test whether theta is 0: return Student's t and the two-sided p-value."""
         return self._test(self.value, self.sd)
 
     def further_trial(self, value: float, within_sd: float) -> tuple[float, float]:
@@ -141,9 +141,8 @@ class TrialMean:
         Returns
         -------
         tuple of float
-            Student's t of the difference, and the probability of one at least as large, two-sided. The further trial
-            scatters like the others, by S of equation (6), or by `within_sd` if S is smaller or unknown, which makes
-            the test conservative.
+            Student's t of the difference, and the two-sided p-value. The standard deviation of the further trial is S
+            of equation (6), or `within_sd` if S is smaller or unknown, which makes the test conservative.
         """
         return self._test(value - self.value, math.hypot(self.sd, max(self.scatter_sd or 0.0, within_sd)))
 
@@ -257,7 +256,7 @@ def regress(design: ArrayLike, values: ArrayLike, within_sd: ArrayLike | None = 
 
 
 def combine(values: ArrayLike, within_sd: ArrayLike | None = None) -> TrialMean:
-    """Return the mean of the values of trials: the only place in which trials are averaged.
+    """Return the mean of the values of trials, with its uncertainty.
 
     Parameters
     ----------

@@ -42,8 +42,8 @@ _JOINED_MM = 0.05
 class AnatomyPlane:
     """A plane through an anatomy, its plan, and the best entry of this plan.
 
-    `angle_rad` is the angle of the plane about the axis, from y to z. `origin_mm` and `axes`, shape (2, 3), lead from
-    the plane to the lattice.
+    `angle_rad` is the angle of the plane about the axis, from y to z. `origin_mm`, shape (3,), and `axes`, shape (2,
+    3), are the origin and the axes of the plane in the frame of the lattice.
     """
 
     angle_rad: float
@@ -81,7 +81,7 @@ def best_plane(scenario: SpaceScenario) -> AnatomyPlane:
     ScenarioError
         If no plane has an entry point in front of the target.
     """
-    found: list[AnatomyPlane] = []
+    planes: list[AnatomyPlane] = []
     for number in range(_PLANES):
         angle = math.pi * number / _PLANES
         made = plane_scenario(scenario, angle)
@@ -90,12 +90,12 @@ def best_plane(scenario: SpaceScenario) -> AnatomyPlane:
         planar, origin, axes, entries = made
         table = plan_plane(planar)
         ends = [table.best_entry("left", y_mm=float(y)) for y in entries]
-        best = max(ends, key=lambda each: each.success)
-        found.append(AnatomyPlane(angle, origin, axes, table, best.pose, best.success, table.stats.seconds))
-    if not found:
+        best = max(ends, key=lambda entry: entry.success)
+        planes.append(AnatomyPlane(angle, origin, axes, table, best.pose, best.success, table.stats.seconds))
+    if not planes:
         rule = "no plane through the axis has an entry point in front of the target"
         raise ScenarioError(Mistake("anatomy.entry", scenario.file.anatomy.entry_text, rule))
-    return max(found, key=lambda each: each.success)
+    return max(planes, key=lambda plane: plane.success)
 
 
 def plane_scenario(

@@ -359,13 +359,13 @@ class Table(PromisingTable):
 
         content = read_content(path, verify_key, isolated=isolated, mapped=mapped)
         try:
-            found = [table for kind in (cls, *cls.__subclasses__()) if (table := kind._of(content)) is not None]
+            tables = [table for kind in (cls, *cls.__subclasses__()) if (table := kind._of(content)) is not None]
         except TableError as error:
             raise TableError(error.mistakes, os.fspath(path)) from None
-        if not found:
+        if not tables:
             rule = f"is a table over {content.axes}, and no {cls.__name__}: `needleplan.open` opens it"
             raise TableError(rule, os.fspath(path))
-        return found[0]
+        return tables[0]
 
     @classmethod
     def _of(cls, content: Any) -> Self | None:  # noqa: ARG003

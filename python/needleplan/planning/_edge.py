@@ -77,9 +77,9 @@ def edge_profile(table: PolicyTable, edge: str = "left") -> EdgeProfile:
     free = table.lattice.events(np.ascontiguousarray(poses[:, :2])) != Outcome.COLLISION.code
     success, entry = np.full(len(poses), np.nan), None
     if free.any():
-        found = table.lookup_many(poses[free])
-        success[free] = found.success
-        entry = best_of(edge, poses[free], found.success, found.value)
+        decisions = table.lookup_many(poses[free])
+        success[free] = decisions.success
+        entry = best_of(edge, poses[free], decisions.success, decisions.value)
     positions = np.unique(poses[:, along])
     rows = success.reshape(len(positions), -1)  # the poses of one position follow each other
     best = np.arange(len(rows)) * rows.shape[1] + np.argmax(np.nan_to_num(rows, nan=-1.0), axis=1)

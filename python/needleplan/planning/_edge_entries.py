@@ -94,12 +94,12 @@ class EdgeEntries(Lookups):
         """
         count = whole_number("count", count, 1, _MOST_ENTRIES, f"from 1 to {_MOST_ENTRIES:,}")
         poses, success, value = self._edge_answers(edge, None, None, nearest=False)
-        found: list[Entry[Pose]] = []
-        while len(poses) and len(found) < count:
-            found.append(best_of(edge, poses, success, value))
-            far = np.hypot(*(poses[:, :2] - found[-1].pose[:2]).T) >= apart_mm
+        entries: list[Entry[Pose]] = []
+        while len(poses) and len(entries) < count:
+            entries.append(best_of(edge, poses, success, value))
+            far = np.hypot(*(poses[:, :2] - entries[-1].pose[:2]).T) >= apart_mm
             poses, success, value = poses[far], success[far], value[far]
-        return found
+        return entries
 
     def _edge_answers(
         self, edge: str, x_mm: float | None, y_mm: float | None, *, nearest: bool
@@ -110,5 +110,5 @@ class EdgeEntries(Lookups):
         if not len(poses):
             rule = "must have a position outside of all obstacles; choose another edge or position"
             raise PoseError(Mistake("edge", f'"{edge}"', rule))
-        found = self.lookup_many(poses, nearest=nearest)
-        return poses, found.success, found.value
+        decisions = self.lookup_many(poses, nearest=nearest)
+        return poses, decisions.success, decisions.value

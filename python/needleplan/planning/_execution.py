@@ -309,10 +309,10 @@ class Execution:
         )
 
     def reached(self, starts: NDArray[np.float64], truths: NDArray[np.float64], seed: int) -> NDArray[np.bool_]:
-        """Return which executions reach the target, one from each start, shape (n, 4), where the plan is wrong.
+        """Return which executions reach the target although the true anatomy or curvature differs from the plan.
 
-        `truths` are as in `plane_truths`, shape (n, 5). An execution from a start of NaN fails. The others have the tip
-        noise of the first runs of `rollouts`.
+        One execution begins at each of `starts`, shape (n, 4); an execution from a start of NaN fails. `truths`, shape
+        (n, 5), are the differences, as in `plane_truths`. The tip noise is that of the first runs of `rollouts`.
         """
         known = ~np.isnan(starts[:, 0])
         places = np.where(known[:, None], starts, _SOMEWHERE)
@@ -324,7 +324,7 @@ class Execution:
 
 
 def rollouts_of(found: Mapping[str, Any], **known: Any) -> Rollouts[Any]:
-    """Return the statistics of compiled runs, with the attributes `known` that do not follow from them."""
+    """Return the statistics of compiled runs. `known` are the other attributes of `Rollouts`."""
     outcomes = {outcome: int(np.count_nonzero(found["outcome"] == outcome.code)) for outcome in Outcome}
     runs = found["outcome"].size
     return Rollouts(

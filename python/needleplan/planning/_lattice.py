@@ -216,10 +216,10 @@ def lattice_of(scenario: Scenario) -> _ppvi.Lattice:
 
 
 def success_refinement(scenario: Scenario) -> int:
-    """Return how many times finer than the table the grid is on which the success is evaluated.
+    """Return how many times finer than the grid of the table the grid is that evaluates the success.
 
-    It is `grid.success_refinement`. Without it, a step is at least `_STEP_CELLS` cells of that grid long, as far as
-    three times finer suffices, and the grid is no coarser than that of the solve.
+    The number is `grid.success_refinement`. By default, it is the least number with which a step covers `_STEP_CELLS`
+    cells of the finer grid, at most 3, and at least the refinement of the solve.
     """
     grid = scenario.grid
     if grid.transition is Transition.NEAREST:
@@ -231,10 +231,10 @@ def success_refinement(scenario: Scenario) -> int:
 
 
 def heading_refinement(scenario: Scenario) -> int:
-    """Return by how much the headings of the table are more than those of the scenario.
+    """Return the number of headings of the table, divided by the number of headings of the scenario.
 
-    It is `grid.heading_refinement`. Without it, it is the least number with which the change of the heading in a step
-    has the variance of the tip noise (`heading_variance`). Without noise, no number is enough, and it is 1.
+    The number is `grid.heading_refinement`. By default, it is the least number with which the change of the heading in
+    a step has the variance of the tip noise (`heading_variance`), and 1 without noise.
 
     Parameters
     ----------
@@ -275,11 +275,11 @@ def heading_refinement(scenario: Scenario) -> int:
 
 
 def heading_variance(scenario: Scenario, times: int = 1) -> tuple[float, float]:
-    """Return the variance (rad^2) of the tip noise, and the largest one of a step with `times` the headings.
+    """Return the variance (rad^2) of the tip noise, and the largest heading variance (rad^2) of a step on the grid.
 
-    A step that ends between two headings is split between them, which has at least the variance f (1 - f) of squared
-    heading steps, f the fraction of a heading step. Only a scenario with `step_mm`, or with straight steps, has such
-    steps.
+    The grid has `times` the headings of the scenario. A step that ends between two headings is split between them. If
+    it ends at the fraction f of a heading step, the split has at least the variance f (1 - f), in squared heading
+    steps. Only a scenario with `step_mm`, or with straight steps, has such steps.
     """
     motion, needle = scenario.motion, scenario.needle
     heading_rad = 2 * math.pi / (motion.headings * times)
@@ -362,7 +362,7 @@ def with_headings(scenario: Scenario) -> Scenario:
 
 
 def every(times: int, fine: NDArray[_N], shape: tuple[int, ...]) -> NDArray[_N]:
-    """Return the values of a table with a shape at every `times`-th point, along x and y, of a finer table.
+    """Sample a finer table at every `times`-th point along x and y, to a table of the given shape.
 
     A coarse point beyond the last fine point represents the border, as the last fine point does.
     """

@@ -127,9 +127,9 @@ class Lookups:
         for name, dtype in (("values", np.float32), ("policy", np.uint8), ("success", np.float32)):
             array = getattr(self, name)
             if not isinstance(array, np.ndarray) or array.shape != self.scenario.shape or array.dtype != dtype:
-                found = f"{array.dtype} {array.shape}" if isinstance(array, np.ndarray) else repr(array)
+                given = f"{array.dtype} {array.shape}" if isinstance(array, np.ndarray) else repr(array)
                 rule = f"must be {np.dtype(dtype).name} of the shape {self.scenario.shape} of the scenario"
-                raise TableError(Mistake(name, found, rule))
+                raise TableError(Mistake(name, given, rule))
             array.flags.writeable = False
         self._require_numbers()
 
@@ -295,8 +295,8 @@ class Lookups:
         >>> bool(expected.length_mm[0, 28, 3, 0] > 100)
         True
         """
-        found = self.lattice.expectations(self.policy, threads=self.scenario.solver.threads)
-        return Expectations(found["length_mm"], found["turns"])
+        expected = self.lattice.expectations(self.policy, threads=self.scenario.solver.threads)
+        return Expectations(expected["length_mm"], expected["turns"])
 
     def start(self, pose: Entry[Pose] | Pose | Sequence[float], *, nearest: bool = False) -> Pose:
         """Return the pose at which an execution begins.
@@ -325,14 +325,14 @@ class Lookups:
         >>> table.start(npl.Pose.deg(0, 28, 18)).bevel
         -1
         """
-        found = Pose.of(pose)
+        start = Pose.of(pose)
         try:
-            if found.bevel is not None:
-                self.lookup(*found, nearest=nearest)
-                return found
-            pair = found._replace(bevel=1), found._replace(bevel=-1)
-            return min(pair, key=lambda each: self.lookup(*each, nearest=nearest).value)
+            if start.bevel is not None:
+                self.lookup(*start, nearest=nearest)
+                return start
+            pair = start._replace(bevel=1), start._replace(bevel=-1)
+            return min(pair, key=lambda sided: self.lookup(*sided, nearest=nearest).value)
         except PoseError:
             workspace = self.scenario.workspace
             rule = f"must lie in the workspace, [0, {workspace.width_mm:g}] x [0, {workspace.height_mm:g}] mm"
-            raise PoseError(Mistake("pose", str(found), rule)) from None
+            raise PoseError(Mistake("pose", str(start), rule)) from None

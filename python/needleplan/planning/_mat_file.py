@@ -120,14 +120,14 @@ def read_mat(path: str | os.PathLike[str]) -> PolicyTable:
     except (OSError, ValueError) as error:
         raise TableError(f"cannot be read: {getattr(error, 'strerror', None) or error}", source) from error
     try:
-        found = loadmat(io.BytesIO(data), simplify_cells=True)  # type: ignore[arg-type]
+        content = loadmat(io.BytesIO(data), simplify_cells=True)  # type: ignore[arg-type]
     except Exception as error:  # scipy raises many types of exceptions for damaged files
         raise TableError(f"is damaged, or not a MATLAB file of version 7: {error}", source) from error
-    if found.get("format") != _FORMAT:
+    if content.get("format") != _FORMAT:
         rule = f'must be "{_FORMAT}": the file is no policy table'
-        raise TableError(Mistake("format", str(found.get("format", "")), rule), source)
+        raise TableError(Mistake("format", str(content.get("format", "")), rule), source)
     try:
-        return _table(found)
+        return _table(content)
     except ChecksumError as error:
         raise ChecksumError(error.mistakes, source) from None
     except InputError as error:
@@ -136,9 +136,9 @@ def read_mat(path: str | os.PathLike[str]) -> PolicyTable:
         raise TableError(f"is no policy table of this version: {error!r}", source) from error
 
 
-def _table(found: dict[str, Any]) -> PolicyTable:
-    scenario = Scenario.from_toml(found["scenario"])
-    arrays = {name: np.ascontiguousarray(found[name], kind) for name, kind in _TYPES.items()}
+def _table(content: dict[str, Any]) -> PolicyTable:
+    scenario = Scenario.from_toml(content["scenario"])
+    arrays = {name: np.ascontiguousarray(content[name], kind) for name, kind in _TYPES.items()}
     mistakes = [
         Mistake(name, f"{array.shape}", f"must have the shape of the scenario, {scenario.shape}")
         for name, array in arrays.items()
@@ -146,8 +146,8 @@ def _table(found: dict[str, Any]) -> PolicyTable:
     ]
     if mistakes:
         raise TableError(mistakes)
-    given = dict(found["stats"])
-    order = tuple(int(each) for each in np.atleast_1d(given.pop("order")).tolist())
+    given = dict(content["stats"])
+    order = tuple(int(number) for number in np.atleast_1d(given.pop("order")).tolist())
     kinds = {field.name: field.type for field in fields(Stats)}
     numbers: dict[str, Any] = {
         name: int(value) if kinds[name] == "int" else float(value) for name, value in given.items() if name != "status"
@@ -155,7 +155,7 @@ def _table(found: dict[str, Any]) -> PolicyTable:
     table = PolicyTable(
         **arrays, stats=Stats(**numbers, status=Status(given["status"]), order=order), scenario=scenario
     )
-    if table.digest != found["digest"] or digest(found["scenario"]) != scenario.digest:
+    if table.digest != content["digest"] or digest(content["scenario"]) != scenario.digest:
         rule = "the arrays or the scenario have changed since the table was planned"
-        raise ChecksumError(Mistake("digest", str(found["digest"]), rule))
+        raise ChecksumError(Mistake("digest", str(content["digest"]), rule))
     return table

@@ -164,11 +164,14 @@ def gymnasium_steps(table: Any) -> tuple[int, int, _Step]:
         count = len(table)
         actions = max(len(table[state]) for state in range(count))
         rows = [[table[state].get(action, []) for action in range(actions)] for state in range(count)]
-        steps = [[[(p, next, reward, bool(over)) for p, next, reward, over in row] for row in each] for each in rows]
+        steps = [
+            [[(p, next, reward, bool(over)) for p, next, reward, over in row] for row in state_rows]
+            for state_rows in rows
+        ]
     except (AttributeError, TypeError, KeyError, IndexError, ValueError):
         rule = "must hold lists of (probability, next state, reward, terminated) at [state][action]"
         raise MdpError(Mistake("table", type(table).__name__, rule)) from None
-    ended = any(over for each in steps for row in each for *_, over in row)
+    ended = any(over for step in steps for row in step for *_, over in row)
 
     def step(state: int, action: int) -> list[tuple[float, int, float]]:
         if state == count:

@@ -39,7 +39,7 @@ def scattered_poses(
 
 
 def plane_truths(truths: Truths, target_mm: Sequence[float]) -> NDArray[np.float64]:
-    """Return the parts of rigid motions in the plane, and curvatures, for the compiled executions.
+    """Project rigid motions onto the plane, for the compiled executions.
 
     Parameters
     ----------

@@ -99,19 +99,20 @@ def questionable_sizes(scenario: Scenario) -> list[Mistake]:
     for number, tissue in enumerate(scenario.tissues, start=1):
         radii[f"tissue {number}.curvature_radius_mm"] = tissue.curvature_radius_mm
     small = f"is questionably small beside the workspace of {longer:g} mm, in metres?"
-    found = [(key, radius, small) for key, radius in radii.items() if radius < _LEAST_RADIUS * longer]
+    unlikely = [(key, radius, small) for key, radius in radii.items() if radius < _LEAST_RADIUS * longer]
     if scenario.target.radius_mm < _LEAST_TARGET_MM:
-        found.append(("target.radius_mm", scenario.target.radius_mm, "is questionably small, in metres?"))
+        unlikely.append(("target.radius_mm", scenario.target.radius_mm, "is questionably small, in metres?"))
     cells = [scenario.step_mm / spacing for spacing in scenario.grid.spacing_mm]
     step = f"a step of {scenario.step_mm:.3g} mm"
     if max(cells) > _LARGEST_STEP_CELLS:
         rule = f"is questionably small beside {step}, in metres?"
-        found.append(("grid.spacing_mm", min(scenario.grid.spacing_mm), rule))
-    elif min(cells) < _LEAST_STEP_CELLS and not found:
+        unlikely.append(("grid.spacing_mm", min(scenario.grid.spacing_mm), rule))
+    elif min(cells) < _LEAST_STEP_CELLS and not unlikely:
         rule = f"is questionably large beside {step}; are there too many headings?"
-        found.append(("grid.spacing_mm", max(scenario.grid.spacing_mm), rule))
+        unlikely.append(("grid.spacing_mm", max(scenario.grid.spacing_mm), rule))
     return [
-        Mistake(key, f"{size:g} mm", f"{rule} Convert it, or accept the units as they are") for key, size, rule in found
+        Mistake(key, f"{size:g} mm", f"{rule} Convert it, or accept the units as they are")
+        for key, size, rule in unlikely
     ]
 
 

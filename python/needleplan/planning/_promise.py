@@ -48,8 +48,8 @@ class ErrorDraws(NamedTuple):
 
     @classmethod
     def of(cls, runs: int, seed: int) -> ErrorDraws:
-        """Return the numbers of a seed."""
-        entry, registration, curvature = (np.random.default_rng([seed, each]) for each in range(3))
+        """Draw the numbers of `runs` executions."""
+        entry, registration, curvature = (np.random.default_rng([seed, stream]) for stream in range(3))
         return cls(
             entry.standard_normal((runs, 4)), registration.standard_normal((runs, 6)), curvature.standard_normal(runs)
         )
@@ -62,7 +62,7 @@ class Promise:
     Parameters
     ----------
     uncertainty : Uncertainty
-        What is not known exactly.
+        Errors of the entry, the registration and the curvature.
     exact : Success
         The success if the entry, the registration and the curvature are as planned.
     entry, registration, curvature : Success or None
@@ -121,7 +121,7 @@ class Promise:
 
 
 class PromisingTable(ABC):
-    """The part of a policy table that promises a success under what is not known exactly."""
+    """Base class of policy tables with the method `success_under`."""
 
     def success_under(
         self, uncertainty: Uncertainty, pose: Any, *, executions: int = PROMISED_RUNS, seed: int = 0
@@ -131,7 +131,7 @@ class PromisingTable(ABC):
         Parameters
         ----------
         uncertainty : Uncertainty
-            What is not known exactly.
+            Errors of the entry, the registration and the curvature.
         pose : Entry, Pose, SpacePose or sequence of float
             Where the needle is meant to enter; in the plane with or without bevel.
         executions : int, default 2000

@@ -37,7 +37,7 @@ _CELLS = 2.0
 
 @dataclass(frozen=True, repr=False)
 class Resolution:
-    """The resolution of a plan, and its promise beside executions.
+    """Resolution of the grid of a plan, and the predicted success beside that of executions.
 
     Attributes
     ----------
@@ -53,7 +53,7 @@ class Resolution:
     passage_cells : float
         The same in cells of the solve.
     noise_ratio : float
-        Variance of the heading noise of a step in the solve over that of `motion.tip_noise`; inf if only the solve has
+        Variance of the heading of a step in the solve, divided by that of `motion.tip_noise`; inf if only the solve has
         noise.
     warnings : tuple of str
         What is not resolved, and what helps; empty if all is well.
@@ -97,7 +97,7 @@ class Resolution:
 
 
 def resolution(table: Table, entry: Entry[Pose] | Pose, runs: int = PROMISE_RUNS, seed: int = 0) -> Resolution:
-    """Check whether the grid of a table resolves what executions from an entry use.
+    """Check whether the grid of a table is fine enough for the target, passages and tip noise from an entry.
 
     Parameters
     ----------
@@ -129,7 +129,7 @@ def resolution(table: Table, entry: Entry[Pose] | Pose, runs: int = PROMISE_RUNS
 
 
 def resolution_of(table: Table, found: Rollouts[Pose]) -> Resolution:
-    """Check whether the grid of a table resolves what given executions of it use.
+    """Check the grid of a table as `resolution` does, by executions that were made before.
 
     Parameters
     ----------

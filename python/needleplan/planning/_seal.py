@@ -40,10 +40,10 @@ def seal_of_file(stream: BinaryIO, key: bytes | None = None, form: str = FORMAT)
     """Return the seal of an open file: of its bytes from the end of the seal on, which are read piece by piece."""
     size = stream.seek(0, os.SEEK_END) - SEAL_BYTES
     stream.seek(SEAL_BYTES)
-    found = hashlib.sha256()
+    hashed = hashlib.sha256()
     while piece := stream.read(_PIECE_BYTES):
-        found.update(piece)
-    return _front(f"{form} {size} bytes sha256:{found.hexdigest()}\n".encode(), key)
+        hashed.update(piece)
+    return _front(f"{form} {size} bytes sha256:{hashed.hexdigest()}\n".encode(), key)
 
 
 def _front(line: bytes, key: bytes | None) -> bytes:
@@ -73,9 +73,9 @@ def verify(stream: BinaryIO, source: str, key: bytes | None = None) -> None:
             raise TableError(Mistake("format", name, rule), source)
         kind = "an HDF5 file, but not a sealed policy table" if front.startswith(_HDF5) else "not a policy table"
         raise TableError(f"is {kind}: it must begin with {FORMAT}", source)
-    expected, found = int(words[1]), stream.seek(0, os.SEEK_END) - SEAL_BYTES
-    if found < expected:
-        raise TableError(f"is truncated: {max(found, 0):,} of {expected:,} bytes are there", source)
+    expected, size = int(words[1]), stream.seek(0, os.SEEK_END) - SEAL_BYTES
+    if size < expected:
+        raise TableError(f"is truncated: {max(size, 0):,} of {expected:,} bytes are there", source)
     signed = rest.startswith(_SIGNATURE)
     signature = rest[: len(_SIGNATURE) + 65] if signed else b""
     if front != (seal_of_file(stream, None, name).rstrip(b"\0") + signature).ljust(SEAL_BYTES, b"\0"):

@@ -37,7 +37,7 @@ _CELLS_AT_ONCE = 2_000_000
 
 @dataclass(frozen=True)
 class SpaceEntry:
-    """One entry: its pose and what follows from it.
+    """An entry of an anatomy, with its success and the properties of its path.
 
     Parameters
     ----------
@@ -128,7 +128,7 @@ class EntryMap:
 
     @property
     def order(self) -> NDArray[np.int64]:
-        """Numbers of the entry points by success without an error of the entry, in steps of 0.1 %, then by cost."""
+        """Numbers of the entry points, best first: by success at the exact pose, rounded to 0.1 %, then by cost."""
         return self.ranking.order
 
     @property
@@ -159,8 +159,8 @@ class EntryMap:
     def best(self, count: int, apart_mm: float = 6.0, *, exact: bool = False) -> list[int]:
         """Return the numbers of the best entry points, best first.
 
-        At least five candidates of the table are compared: by their expected success by executions, to 0.1 % as it is
-        printed, and equal ones by clearance, length and rotations.
+        The table proposes at least five candidates. They are ordered by their expected success by executions, rounded
+        to 0.1 %; candidates with equal success are ordered by clearance, length and rotations.
 
         Parameters
         ----------
@@ -180,15 +180,15 @@ class EntryMap:
     def expected_success(self, number: int) -> float:
         """Return the expected success of an entry if the needle enters with an error, by the table.
 
-        The policy knows the pose that the needle then has. The error is normal and independent: 1 mm along each of two
-        axes across, and 1 degree about each. Of each pair, the mean is that of a rule of degree 5: half of the weight
-        is on the entry, the other half on a ring of two standard deviations (Stroud 1971). The losses by shift and
-        tilt are added. The result is at most the success without an error.
+        The policy knows the pose with the error. The errors are normal and independent: 1 mm along each of two axes
+        across the needle, and 1 degree about each. The mean over both shifts, and over both tilts, is a cubature of
+        degree 5 (Stroud 1971): half of the weight is on the entry, the other half on a ring of two standard deviations.
+        The losses by shift and tilt are added. The result is at most the success without an error.
         """
         return self.ranking.expected_success(number)
 
     def entry(self, number: int, runs: int | None = None) -> SpaceEntry:
-        """Return one entry, with the costs of errors of its pose.
+        """Return an entry, with its success and the loss of success by errors of its pose.
 
         Parameters
         ----------

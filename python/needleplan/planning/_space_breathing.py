@@ -111,7 +111,7 @@ def success_in_breath(
     if breathing is None or isinstance(solved, PartialSpace):
         raise ScenarioError(Mistake("breathing", "", "is missing: how the tissue moves"), anatomy.source)
     exhaled = replace(anatomy.exhaled or anatomy, file=table.scenario.file)  # one of several targets
-    rows, found = np.asarray(poses, np.float64).reshape(-1, 6), []
+    rows, successes = np.asarray(poses, np.float64).reshape(-1, 6), []
     truths = np.repeat(_AS_BELIEVED[None], executions, 0)
     for residual_mm in residuals_mm:
         if (level := breathing.level_for(residual_mm)) is None:
@@ -125,5 +125,5 @@ def success_in_breath(
             ) == Outcome.TARGET.code
             for row in rows
         ]  # fmt: skip
-        found.append(ResidualSuccess(residual_mm, level, tuple(share_of(each) for each in reached)))
-    return found
+        successes.append(ResidualSuccess(residual_mm, level, tuple(share_of(arrivals) for arrivals in reached)))
+    return successes

@@ -29,7 +29,7 @@ _EXECUTIONS = 40
 
 
 def draw_entries(entries: EntryMap, best: int | None = None) -> Figure:
-    """Draw success over the entry region, slices through the target with the best path, and a 3D view.
+    """Draw the success over the entry region, slices through the target with the best path, and a 3D view.
 
     The view has 40 executions with noise from the best entry. If no entry reaches the target, the figure says so, and
     has no path and no executions.
@@ -82,10 +82,10 @@ def _hopeless(entries: EntryMap, best: int) -> str:
     """Return the title of a figure of entries that do not reach the target; empty if one does."""
     if entries.impossible:
         return "Impossible: no path of this needle leads from the entry region to the target"
-    found = unreached(entries, [best])
-    if not found:
+    reason = unreached(entries, [best])
+    if not reason:
         return ""
-    most = f"more than {100 * found.highest:.1f} % of executions"
+    most = f"more than {100 * reason.highest:.1f} % of executions"
     return f"No entry reaches the target in {most}; that no path exists is not proved"
 
 

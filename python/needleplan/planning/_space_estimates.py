@@ -33,14 +33,14 @@ SEED = 0
 
 @dataclass(frozen=True, eq=False)
 class Estimates:
-    """The success of poses by executions, each computed when it is asked for the first time."""
+    """Estimates of the success of poses by executions. An estimate is computed once, and kept."""
 
     solved: _ppvi.SolvedSpace | PartialSpace
     known: dict[tuple[float, ...], Success] = field(default_factory=dict)
 
     @classmethod
     def of(cls, solved: _ppvi.SolvedSpace | PartialSpace, rows: NDArray[np.float64] | None) -> Self:
-        """Return the estimates of the rows of a file; None: none."""
+        """Return the estimates that are stored in the rows of a file, shape (n, 10); None: no estimates."""
         known = {
             (*row[:_POSE], int(row[_POSE])): Success(
                 row[_POSE + 1], (row[_POSE + 2], row[_POSE + 3]), SuccessSource.EXECUTIONS, int(row[_POSE])
@@ -51,7 +51,7 @@ class Estimates:
 
     def rows(self) -> NDArray[np.float64]:
         """Return the rows for a file, shape (n, 10)."""
-        rows = [(*key, each.value, *(each.interval or (0.0, 1.0))) for key, each in self.known.items()]
+        rows = [(*key, success.value, *(success.interval or (0.0, 1.0))) for key, success in self.known.items()]
         return np.array(rows, np.float64).reshape(-1, len(ESTIMATE_COLUMNS))
 
     def find(self, pose: NDArray[np.float64], runs: int) -> Success | None:
@@ -67,7 +67,7 @@ class Estimates:
 
 
 def are_estimates(rows: NDArray[np.float64]) -> bool:
-    """Return whether rows have possible numbers, and each pose one estimate of a number of runs."""
+    """Return whether the numbers of all rows are possible, and no pose has two estimates with equal runs."""
     if rows.shape[1:] != (len(ESTIMATE_COLUMNS),) or not np.isfinite(rows).all():
         return False
     if len(np.unique(rows[:, : _POSE + 1], axis=0)) != len(rows):

@@ -49,7 +49,7 @@ def markups_text(entries: EntryMap, numbers: Sequence[int]) -> str:
     places = entries.grid.frame.world(entries.poses[list(numbers), :3])
     successes = [entries.estimate(each) for each in numbers]
     labels = [f"entry {rank}: {success.shown} %" for rank, success in enumerate(successes, start=1)]
-    markups = [_markup("Fiducial", "entries", places, labels, [f"success {each}" for each in successes])]
+    markups = [_markup("Fiducial", "entries", places, labels, [f"success {success}" for success in successes])]
     for rank, number in enumerate(numbers, start=1):
         markups.append(_curve(f"path {rank}", entries.path_mm(number)))
     return json.dumps({"@schema": _SCHEMA, "markups": markups}, indent=1) + "\n"
@@ -71,14 +71,14 @@ def targets_markups_text(targets: TargetMap, ranked: Sequence[TargetEntry]) -> s
         JSON.
     """
     count = len(targets.names)
-    labels = [f"entry {rank}: {each.expected_number:.2f} of {count}" for rank, each in enumerate(ranked, start=1)]
-    words = [", ".join(f"{name} {one.success.shown} %" for name, one in each.targets.items()) for each in ranked]
-    places = np.array([each.position_mm for each in ranked], float).reshape(-1, 3)
+    labels = [f"entry {rank}: {entry.expected_number:.2f} of {count}" for rank, entry in enumerate(ranked, start=1)]
+    words = [", ".join(f"{name} {one.success.shown} %" for name, one in entry.targets.items()) for entry in ranked]
+    places = np.array([entry.position_mm for entry in ranked], float).reshape(-1, 3)
     markups = [_markup("Fiducial", "entries", places, labels, words)]
-    for rank, each in enumerate(ranked, start=1):
-        for number, name in enumerate(each.targets, start=1):
+    for rank, entry in enumerate(ranked, start=1):
+        for number, name in enumerate(entry.targets, start=1):
             curve = f"path {rank}.{number} {name}"
-            markups.append(_curve(curve, targets.maps[name].path_mm(each.number)))
+            markups.append(_curve(curve, targets.maps[name].path_mm(entry.number)))
     return json.dumps({"@schema": _SCHEMA, "markups": markups}, indent=1) + "\n"
 
 
@@ -115,13 +115,13 @@ def entries_vtp(entries: EntryMap, numbers: Sequence[int], runs: int = 40, seed:
     bytes
     """
     world, chosen = entries.grid.frame.world, list(numbers)
-    lines = [entries.path_mm(each) for each in chosen]
-    success = [_numbers(entries.estimate(each)) for each in chosen]
-    rows = [(rank, 0, entries.paths.reached[each], *success[rank - 1]) for rank, each in enumerate(chosen, start=1)]
+    lines = [entries.path_mm(number) for number in chosen]
+    success = [_numbers(entries.estimate(number)) for number in chosen]
+    rows = [(rank, 0, entries.paths.reached[number], *success[rank - 1]) for rank, number in enumerate(chosen, start=1)]
     if chosen:
-        found = entries.table.executions(entries.poses[chosen[0]], runs, seed)
-        lines += [world(found.points(run)) for run in range(runs)]
-        rows += [(1, run + 1, found.reached[run], *success[0]) for run in range(runs)]
+        executions = entries.table.executions(entries.poses[chosen[0]], runs, seed)
+        lines += [world(executions.points(run)) for run in range(runs)]
+        rows += [(1, run + 1, executions.reached[run], *success[0]) for run in range(runs)]
     columns = np.array(rows, float).reshape(-1, len(_OF_LINES)).T
     of_lines = dict(zip(_OF_LINES, columns, strict=True))
     paths = entries.paths
@@ -140,7 +140,7 @@ def _numbers(success: Success) -> tuple[float, float, float, int]:
 
 def _curve(name: str, path_mm: NDArray[np.float64]) -> dict[str, Any]:
     points = np.concatenate([path_mm[:-1:_EVERY], path_mm[-1:]])
-    return _markup("Curve", name, points, [f"{each}" for each in range(1, len(points) + 1)])
+    return _markup("Curve", name, points, [f"{number}" for number in range(1, len(points) + 1)])
 
 
 def _markup(

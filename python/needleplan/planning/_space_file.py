@@ -270,7 +270,7 @@ def space_content(file: h5py.File, source: SealedBytes) -> SpaceContent:
     finer = dict.fromkeys(("entry", *_FINER), (None, "u"))
     require_none(list(foreign_datasets(file, finer, source.size, compressible=_FINER)))
     shape = file["entry"].shape
-    if len(shape) != 3 or not all(0 < each <= _MOST_POINTS for each in shape):
+    if len(shape) != 3 or not all(0 < count <= _MOST_POINTS for count in shape):
         raise TableError(Mistake("entry", str(shape), "must have three axes"))
     for name in _FINER:
         if file[name].shape not in [tuple(r * count for count in shape) for r in range(1, _MOST_REFINEMENT + 1)]:
@@ -335,8 +335,8 @@ def _grid(file: h5py.File, settings: AnatomyFile, shape: tuple[int, int, int], s
     if spacing not in settings.lattice.spacings_mm:
         rule = f"must be lattice.spacing_mm of the settings, or without it one of {settings.lattice.spacings_mm}"
         mistakes.append(Mistake("spacing_mm", f"{spacing:g}", rule))
-    radii = tuple(float(each) for each in file.attrs["radii_mm"])
-    expected = (settings.needle.curvature_radius_mm, *(each.radius_mm for each in settings.anatomy.curvature))
+    radii = tuple(float(number) for number in file.attrs["radii_mm"])
+    expected = (settings.needle.curvature_radius_mm, *(tissue.radius_mm for tissue in settings.anatomy.curvature))
     if radii != expected:
         mistakes.append(Mistake("radii_mm", str(radii), f"must be those of the settings, {expected}"))
     arrays = {name: np.ascontiguousarray(file[name][()], kind) for name, (_, _, kind) in _GRID.items()}

@@ -27,7 +27,7 @@ LENGTHS = ("limits.insertion_mm", "needle.length_mm")
 
 @dataclass(frozen=True)
 class LimitCount:
-    """How many entries a limit leaves: the key of the limit, and the numbers of entries after it and before it."""
+    """Effect of a limit: its key, and the numbers of entries after (`left`) and before (`before`) the limit."""
 
     key: str
     left: int

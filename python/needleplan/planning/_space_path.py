@@ -59,9 +59,11 @@ _NEWTON = 5
 class SpacePath:
     """One execution of a policy in 3D.
 
-    `poses`: positions in the frame (mm) and tangents, shape (k, 6). `turns`: poses directly before the rotations of the
-    needle, shape (turns, 6). `outcome`, `length_mm`, `straight_mm`, `cost`: as of a planar `Path`. `clearance_mm`:
-    smallest distance to an obstacle. `scenario`: that in which the policy was executed.
+    - `poses`: positions in the frame (mm) and tangents, shape (k, 6).
+    - `turns`: poses directly before the rotations of the needle, shape (turns, 6).
+    - `outcome`, `length_mm`, `straight_mm`, `cost`: as of a planar `Path`.
+    - `clearance_mm`: smallest distance to an obstacle.
+    - `scenario`: the scenario in which the policy was executed.
     """
 
     poses: NDArray[np.float64]
@@ -122,14 +124,18 @@ class SpacePath:
 
 @dataclass(frozen=True, eq=False)
 class SpacePaths:
-    """Executions from n poses.
+    """Executions from n poses. All arrays but `poses`, `bounds` and `turn_rows` have the shape (n,).
 
-    `reached`: whether the path ends in the target. `outcomes`: codes of `Outcome`. `ends`: code of the voxel that ended
-    it, as in `AnatomyGrid.codes`; `FREE` if the tangent has left the cone. `length_mm`, `straight_mm`: length, and that
-    of the straight steps. `turns`: number of changes of the roll angle. `clearance_mm`: smallest distance to an
-    obstacle. `cost`: sum of all costs. All have the shape (n,). `poses`: positions in the frame (mm) and tangents, all
-    paths one after the other, shape (m, 6); path k has the rows from `bounds[k]` to `bounds[k + 1]`. `turn_rows`: rows
-    of `poses` directly before a rotation of the needle.
+    - `reached`: whether the path ends in the target.
+    - `outcomes`: codes of `Outcome`.
+    - `ends`: code of the voxel that ended the path, as in `AnatomyGrid.codes`; `FREE` if the tangent has left the cone.
+    - `length_mm`, `straight_mm`: length of the path, and length of its straight steps.
+    - `turns`: number of changes of the roll angle.
+    - `clearance_mm`: smallest distance to an obstacle.
+    - `cost`: sum of all costs.
+    - `poses`: positions in the frame (mm) and tangents, all paths one after the other, shape (m, 6); path k has the
+      rows from `bounds[k]` to `bounds[k + 1]`.
+    - `turn_rows`: rows of `poses` directly before a rotation of the needle.
     """
 
     reached: NDArray[np.bool_]
@@ -193,20 +199,20 @@ def space_paths(
 
     Without `seed`, the executions have no noise. With `seed`, they have the noise of the first n runs of a rollout.
     """
-    found = solved.paths(poses, seed=seed)
-    ends, bounds = found["end"].astype(np.int64), found["bounds"]
-    clearance = grid.clearance_at(found["poses"][:, :3])
+    executed = solved.paths(poses, seed=seed)
+    ends, bounds = executed["end"].astype(np.int64), executed["bounds"]
+    clearance = grid.clearance_at(executed["poses"][:, :3])
     return SpacePaths(
         reached=ends == TARGET,
-        outcomes=found["outcome"],
+        outcomes=executed["outcome"],
         ends=ends,
-        length_mm=found["length_mm"],
-        straight_mm=found["straight_mm"],
-        turns=found["turns"].astype(np.int64),
+        length_mm=executed["length_mm"],
+        straight_mm=executed["straight_mm"],
+        turns=executed["turns"].astype(np.int64),
         clearance_mm=np.minimum.reduceat(clearance, bounds[:-1]) if len(ends) else np.zeros(0),
-        cost=found["cost"],
-        poses=found["poses"],
-        turn_rows=found["turn_rows"],
+        cost=executed["cost"],
+        poses=executed["poses"],
+        turn_rows=executed["turn_rows"],
         bounds=bounds,
     )
 

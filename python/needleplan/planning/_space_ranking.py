@@ -51,7 +51,7 @@ def spread_out(
     apart_mm: float,
     first: Callable[[list[int]], int] = lambda left: left[0],
 ) -> list[int]:
-    """Return the first numbers of an order whose points are at least `apart_mm` from each other.
+    """Choose at most `count` numbers of an order whose points are at least `apart_mm` from each other.
 
     `first` chooses among the numbers that are left, in their order; by default the first of them.
     """
@@ -90,13 +90,13 @@ class EntryRanking:
         estimates: Estimates,
     ) -> EntryRanking:
         """Return the ranking of entries whose success and cost are looked up."""
-        found = solved.look_up(poses)
-        success, value = found["success"].astype(np.float64), found["value"].astype(np.float64)
+        answers = solved.look_up(poses)
+        success, value = answers["success"].astype(np.float64), answers["value"].astype(np.float64)
         return cls(scenario, solved, poses, success, value, estimates)
 
     @cached_property
     def order(self) -> NDArray[np.int64]:
-        """Numbers of the entry points by success without an error, in steps of 0.1 %, and then by cost."""
+        """Numbers of the entry points, best first: by success at the exact pose, rounded to 0.1 %, then by cost."""
         return np.lexsort((self.value, -np.round(self.success / EQUAL_SUCCESS)))
 
     def first(self, *, exact: bool = False) -> int:
@@ -106,15 +106,15 @@ class EntryRanking:
     def best(self, count: int, apart_mm: float = 6.0, *, exact: bool = False) -> list[int]:
         """Return the numbers of the best entry points that are at least `apart_mm` from each other, best first.
 
-        They are the `candidates`, at least five, by their expected success as it is printed, and equal ones by the
-        other columns of the list; if `exact`, by their success without an error of the entry. The first does not depend
-        on a `count` up to five.
+        At least five `candidates` are ordered by their expected success by executions, rounded to 0.1 %, or if `exact`
+        by their success without an error of the entry; candidates with equal success are ordered by the other columns
+        of the list. The first entry is the same for every `count` up to five.
         """
         compared = self.candidates(max(count, COMPARED), apart_mm, exact=exact)
         paths = space_paths(self.solved, self.scenario.grid, self.poses[compared].reshape(-1, 6))
         keys = {
             number: (
-                *(-each for each in self._shown(number, exact=exact)),
+                *(-figure for figure in self._shown(number, exact=exact)),
                 -round(float(paths.clearance_mm[place]), 1),
                 round(float(paths.length_mm[place])),
                 int(paths.turns[place]),
@@ -143,7 +143,7 @@ class EntryRanking:
         return known or Success(min(float(self.success[number]), 1.0))
 
     def with_error(self, number: int, success: Success) -> float:
-        """Return a success of an entry less the expected loss, by the table, if the needle enters with an error."""
+        """Return `success` minus the expected loss of success, by the table, by an error of the entry."""
         return max(success.value + self.expected_success(number) - float(self.success[number]), 0.0)
 
     def _shown(self, number: int, *, exact: bool) -> tuple[float, ...]:
@@ -151,11 +151,11 @@ class EntryRanking:
         success = self.estimate(number)
         low, high = success.interval or (0.0, 1.0)
         alone, expected = (success.value, low, high), (self.with_error(number, success),)
-        return tuple(float(f"{100 * each:.1f}") for each in ((*alone, *expected) if exact else (*expected, *alone)))
+        return tuple(float(f"{100 * share:.1f}") for share in ((*alone, *expected) if exact else (*expected, *alone)))
 
     def expected_success(self, number: int) -> float:
         """Return the expected success of an entry if the needle enters with an error; see `EntryMap`."""
-        losses = [self.success[number] - each.mean() for each in self.around(number)]
+        losses = [self.success[number] - successes.mean() for successes in self.around(number)]
         return float(np.clip(self.success[number] - sum(losses) / 2, 0, self.success[number]))
 
     def around(self, number: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -170,8 +170,8 @@ class EntryRanking:
             sideways = across - (across @ pose[3:])[:, None] * pose[3:]
             sideways /= np.linalg.norm(sideways, axis=-1)[:, None]
             tilted[:, 3:] = math.cos(_TILT_RAD) * pose[3:] + math.sin(_TILT_RAD) * sideways
-            found = self._success_at(np.concatenate([shifted, tilted]))
-            self._known[number] = found[:_AROUND], found[_AROUND:]
+            successes = self._success_at(np.concatenate([shifted, tilted]))
+            self._known[number] = successes[:_AROUND], successes[_AROUND:]
         return self._known[number]
 
     @cached_property
@@ -203,8 +203,8 @@ class EntryRanking:
 
     def _success_at(self, poses: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the predicted success of poses; 0 outside the lattice and the cone."""
-        found = np.zeros(len(poses))
+        successes = np.zeros(len(poses))
         valid = valid_poses(self.scenario.grid, self.scenario.cone_rad, poses)
         if valid.any():
-            found[valid] = self.solved.look_up(np.ascontiguousarray(poses[valid]))["success"]
-        return found
+            successes[valid] = self.solved.look_up(np.ascontiguousarray(poses[valid]))["success"]
+        return successes

@@ -160,10 +160,10 @@ class SpaceTable(Table):
         Raises PoseError if the pose is not a position and a unit tangent, or outside the lattice or the cone.
         """
         row = self._row(pose)
-        found = self.solved.look_up(row)
-        action, rolls = int(found["action"][0]), self.scenario.file.lattice.rolls
+        answers = self.solved.look_up(row)
+        action, rolls = int(answers["action"][0]), self.scenario.file.lattice.rolls
         roll = 2 * math.pi * action / rolls if action < rolls else None
-        return SpaceDecision(action, roll, float(found["value"][0]), float(found["success"][0]))
+        return SpaceDecision(action, roll, float(answers["value"][0]), float(answers["success"][0]))
 
     def lookup_many(self, poses: ArrayLike) -> Decisions:
         """Return the decisions of `lookup` at many poses, shape (n, 6).
@@ -174,8 +174,8 @@ class SpaceTable(Table):
         wrong = ~self._contained(rows)
         if wrong.any():
             raise PoseError(self._mistake(f"poses[{int(wrong.argmax())}]", rows[wrong.argmax()]))
-        found = self.solved.look_up(rows)
-        return Decisions(found["action"], *(found[name].astype(np.float32) for name in ("value", "success")))
+        answers = self.solved.look_up(rows)
+        return Decisions(answers["action"], *(answers[name].astype(np.float32) for name in ("value", "success")))
 
     def start(self, pose: Entry[SpacePose] | SpacePose | Sequence[float]) -> SpacePose:
         """Return the pose at which an execution begins. Raises the PoseErrors of `lookup`."""
@@ -227,10 +227,10 @@ class SpaceTable(Table):
         `seed` is negative.
         """
         runs, seed, row = run_number(runs, MOST_RUNS), seed_number(seed), self._row(start)
-        found, predicted = self.solved.rollout(row, runs=runs, seed=seed), self.solved.look_up(row)
+        executed, predicted = self.solved.rollout(row, runs=runs, seed=seed), self.solved.look_up(row)
         samples = self.executions(start, min(runs, SAMPLES), seed)
         return rollouts_of(
-            found,
+            executed,
             start=SpacePose(*row[0].tolist()),
             seed=seed,
             predicted_success=float(predicted["success"][0]),
@@ -251,7 +251,7 @@ class SpaceTable(Table):
 
         The estimate is unbiased, whatever the errors of the table are, and its variance is about a quarter of that of
         the share of as many executions (docs/explanation/space.md). Its random numbers differ from those of `rollout`
-        and `executions`, whatever the seeds, so these check it independently.
+        and `executions` for every seed, so both check the estimate independently.
 
         Parameters
         ----------
@@ -313,9 +313,8 @@ class SpaceTable(Table):
     def best_entry(self, *, exact: bool = False) -> Entry[SpacePose]:
         """Return the best entry, as `EntryMap.first` and `needleplan entry` do.
 
-        It is the first of the entries that are compared by executions (`EntryRanking.best`), which takes some seconds
-        if the table does not come from a file of `needleplan plan`, which holds what they showed.
-        If `exact`, they are compared by their success without an error of the entry.
+        Executions decide between the candidates (`EntryRanking.best`). This takes some seconds, unless a file of
+        `needleplan plan` holds their results. If `exact`, the success is that without an error of the entry.
         """
         return self._entry(self.ranking.first(exact=exact))
 
@@ -376,13 +375,13 @@ class SpaceTable(Table):
         The lattice depends on the curvature; poses of the table that is returned are in the frame of `scenario`. Raises
         TableError if axes or spacing differ.
         """
-        own, its = self.scenario.grid.frame, scenario.grid.frame
-        if own.spacing_mm != its.spacing_mm or not np.allclose(own.axes, its.axes, atol=_SAME_AXES):
+        present, its = self.scenario.grid.frame, scenario.grid.frame
+        if present.spacing_mm != its.spacing_mm or not np.allclose(present.axes, its.axes, atol=_SAME_AXES):
             raise TableError(Mistake("table", self.scenario.title, "has other axes or another spacing"))
         if isinstance(self.solved, PartialSpace):
             raise TableError(Mistake("table", self.scenario.title, "must be a plan of the whole lattice"))
-        corner, voxel = its.local(own.origin_mm), self.scenario.grid.voxel_mm
-        return SpaceTable(scenario, PartialSpace(self.solved, corner, own.spacing_mm, own.shape, voxel))
+        corner, voxel = its.local(present.origin_mm), self.scenario.grid.voxel_mm
+        return SpaceTable(scenario, PartialSpace(self.solved, corner, present.spacing_mm, present.shape, voxel))
 
     def _contained(self, rows: NDArray[np.float64]) -> NDArray[np.bool_]:
         known = valid_poses(self.scenario.grid, self.scenario.cone_rad, rows)

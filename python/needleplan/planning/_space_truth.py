@@ -102,5 +102,5 @@ def reached_in_space(
     places = np.where(known[:, None], starts, starts[known.argmax()])
     motions, ratios = truths
     rows = np.concatenate([motions.reshape(-1, 12), ratios[:, None]], -1)
-    found = solved.true_outcomes(places, rows, center_mm=scenario.target_mm, seed=seed)
-    return np.asarray(known & (found == Outcome.TARGET.code))
+    outcomes = solved.true_outcomes(places, rows, center_mm=scenario.target_mm, seed=seed)
+    return np.asarray(known & (outcomes == Outcome.TARGET.code))

@@ -59,8 +59,8 @@ class SparseFile(io.RawIOBase):
         while done < count:
             page, place = divmod(self._at, _PAGE_BYTES)
             length = min(count - done, _PAGE_BYTES - place)
-            found = self._pages.get(page)
-            view[done : done + length] = found[place : place + length] if found else bytes(length)
+            content = self._pages.get(page)
+            view[done : done + length] = content[place : place + length] if content else bytes(length)
             self._at, done = self._at + length, done + length
         return count
 

@@ -71,7 +71,7 @@ class Success:
             rule = "must be two probabilities, the lower one first, with the value between them"
             mistakes.append(Mistake("interval", f"{self.interval}", rule))
         if self.source not in list(SuccessSource):
-            names = " or ".join(f'"{each}"' for each in SuccessSource)
+            names = " or ".join(f'"{source}"' for source in SuccessSource)
             mistakes.append(Mistake("source", f"{self.source}", f"must be {names}"))
         if not isinstance(self.runs, int) or isinstance(self.runs, bool) or self.runs < 0:
             mistakes.append(Mistake("runs", f"{self.runs}", "must be a whole number from 0"))
@@ -140,7 +140,7 @@ class Success:
         words = "by the table" if self.source is SuccessSource.TABLE else f"by {self.runs:,} executions"
         if self.interval is None:
             return f"{100 * self.value:.1f} % {words}"
-        low, high = (100 * each for each in self.interval)
+        low, high = (100 * limit for limit in self.interval)
         return f"{100 * self.value:.1f} %, 95 % interval {low:.1f} to {high:.1f} %, {words}"
 
     _repr_html_ = short_html

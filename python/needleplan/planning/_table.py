@@ -185,8 +185,8 @@ class PolicyTable(EdgeEntries, Table):
         return execution.rollouts(pose, runs, seed, predicted.success, predicted.value)
 
     def _exact_success(self, pose: Any, executions: int, seed: int) -> Success:
-        found = self.rollout(pose, executions, seed)
-        return share_of(np.arange(executions) < found.outcomes[Outcome.TARGET])
+        rollouts = self.rollout(pose, executions, seed)
+        return share_of(np.arange(executions) < rollouts.outcomes[Outcome.TARGET])
 
     def _scattered(self, pose: Any, uncertainty: Uncertainty, numbers: NDArray[np.float64]) -> NDArray[np.float64]:
         shift, turn = uncertainty.entry_sd_mm * numbers[:, 0], math.radians(uncertainty.heading_sd_deg) * numbers[:, 2]

@@ -62,8 +62,8 @@ def table_digest(scenario_digest: str, digests: Mapping[str, str]) -> str:
 def array_digests(tables: Mapping[str, NDArray[Any]]) -> dict[str, str]:
     """Return the SHA-256 of each of the arrays `values`, `policy` and `success`."""
     with ThreadPoolExecutor(len(TABLE_NAMES)) as pool:
-        found = pool.map(lambda name: digest(np.ascontiguousarray(tables[name]).data), TABLE_NAMES)
-        return dict(zip(TABLE_NAMES, found, strict=True))
+        computed = pool.map(lambda name: digest(np.ascontiguousarray(tables[name]).data), TABLE_NAMES)
+        return dict(zip(TABLE_NAMES, computed, strict=True))
 
 
 def add_root(file: h5py.File, scenario: Any, axes: str) -> None:
@@ -123,7 +123,7 @@ def require_axes(file: h5py.File, axes: Axes, tables: Description) -> None:
 
 def require_digests(file: h5py.File, scenario_digest: str, digests: Mapping[str, str]) -> None:
     """Raise ChecksumError if a digest in the file is not that of the scenario, an array or the whole table."""
-    wrong = [name for name, found in digests.items() if file[name].attrs["sha256"] != found]
+    wrong = [name for name, computed in digests.items() if file[name].attrs["sha256"] != computed]
     if file.attrs["scenario_digest"] != scenario_digest:
         wrong.append("scenario")
     if not wrong and file.attrs["digest"] != table_digest(scenario_digest, digests):

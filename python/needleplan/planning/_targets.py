@@ -64,9 +64,9 @@ class TargetEntry:
     expected_number, reached_all : float
         Expected number of targets that are reached, and probability that all are reached, from the exact poses.
     expected_interval, all_interval : tuple of float
-        Their intervals from the ends of the 95 % intervals of the targets; they cover at least as often.
+        Intervals of both numbers, from the ends of the 95 % intervals of the targets. Their coverage is at least 95 %.
     score : float
-        What the entry is ranked by: with an error of the entry, unless the ranking is by the exact pose.
+        Number by which the entry is ranked. It includes an error of the entry, unless the ranking is by the exact pose.
     expected_before_failure : float
         Expected number of targets that are reached before the first insertion that fails.
     """
@@ -96,7 +96,7 @@ class TargetEntry:
             "source": str(SuccessSource.EXECUTIONS),
             "expected_before_failure": self.expected_before_failure,
             "order": list(self.targets),
-            "targets": {name: each.record() for name, each in self.targets.items()},
+            "targets": {name: target.record() for name, target in self.targets.items()},
         }
 
 
@@ -125,23 +125,23 @@ class TargetMap:
 
     @property
     def runs(self) -> int:
-        """Number of executions of the estimate for a target: so many together as for one target, and at least 500."""
+        """Number of executions for each target: 2,000 divided by the number of targets, at least 500."""
         return max(ESTIMATE_RUNS // len(self.maps), _LEAST_RUNS)
 
     @cached_property
     def success(self) -> NDArray[np.float64]:
         """Success by the tables, shape (targets, entry points)."""
-        return np.asarray(np.clip([each.success for each in self.maps.values()], 0.0, 1.0), np.float64)
+        return np.asarray(np.clip([target_map.success for target_map in self.maps.values()], 0.0, 1.0), np.float64)
 
     @cached_property
     def cost(self) -> NDArray[np.float64]:
         """Sum of the costs for all targets by the tables, shape (entry points,)."""
-        return np.asarray(np.sum([each.value for each in self.maps.values()], 0))
+        return np.asarray(np.sum([target_map.value for target_map in self.maps.values()], 0))
 
     @property
     def unreached(self) -> list[str]:
         """Names of the targets that no entry reaches in 0.1 % of executions by the table."""
-        return [name for name, each in self.maps.items() if not each.reachable]
+        return [name for name, target_map in self.maps.items() if not target_map.reachable]
 
     def require_rank(self, rank: str) -> None:
         """Raise InputError unless `rank` is "expected", "all" or the name of a target."""
@@ -175,8 +175,8 @@ class TargetMap:
     ) -> list[TargetEntry]:
         """Return the best entry points, best first.
 
-        The tables propose at least five candidates by their scores; executions decide between them. Equal ones, to a
-        thousandth, are ordered by the smallest clearance and by the sum of the lengths.
+        The tables propose at least five candidates by their scores; executions decide between them. Entries whose
+        scores are equal to 0.001 are ordered by the smallest clearance and by the sum of the lengths.
 
         Parameters
         ----------
@@ -204,11 +204,11 @@ class TargetMap:
         ]
 
         def key(entry: TargetEntry) -> tuple[float, float, float]:
-            each = entry.targets.values()
+            of_targets = entry.targets.values()
             return (
                 -round(entry.score / EQUAL_SUCCESS),
-                -round(min(one.clearance_mm for one in each), 1),
-                sum(one.length_mm for one in each),
+                -round(min(one.clearance_mm for one in of_targets), 1),
+                sum(one.length_mm for one in of_targets),
             )
 
         return sorted(entries, key=key)[:count]
@@ -228,15 +228,17 @@ class TargetMap:
         TargetEntry
         """
         self.require_rank(rank)
-        found = {name: each.entry(number, self.runs) for name, each in self.maps.items()}
-        order = sorted(found, key=lambda name: (-round(found[name].success.value, 3), found[name].length_mm))
-        intervals = [each.success.interval or (0.0, 1.0) for each in found.values()]
-        values = [found[name].success.value for name in order]
-        used = [each.success.value if exact else each.expected_success for each in found.values()]
+        of_targets = {name: target_map.entry(number, self.runs) for name, target_map in self.maps.items()}
+        order = sorted(
+            of_targets, key=lambda name: (-round(of_targets[name].success.value, 3), of_targets[name].length_mm)
+        )
+        intervals = [target.success.interval or (0.0, 1.0) for target in of_targets.values()]
+        values = [of_targets[name].success.value for name in order]
+        used = [target.success.value if exact else target.expected_success for target in of_targets.values()]
         return TargetEntry(
             number=number,
-            position_mm=next(iter(found.values())).position_mm,
-            targets={name: found[name] for name in order},
+            position_mm=next(iter(of_targets.values())).position_mm,
+            targets={name: of_targets[name] for name in order},
             expected_number=sum(values),
             expected_interval=(sum(low for low, _ in intervals), sum(high for _, high in intervals)),
             reached_all=math.prod(values),

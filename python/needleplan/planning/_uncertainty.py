@@ -1,4 +1,4 @@
-"""What is not known exactly when a needle is inserted: its entry, the registration, and its curvature."""
+"""Errors of an insertion: of its entry, its registration and its curvature."""
 
 from __future__ import annotations
 
@@ -43,11 +43,11 @@ def _low_first(curvature_ratio: tuple[float, float]) -> Iterator[Mistake]:
 
 @dataclass(frozen=True)
 class Uncertainty(ConfigTable, error=InputError, between=(_one_registration, _low_first)):
-    """What is not known exactly when a needle is inserted; the defaults are an exact entry, registration and curvature.
+    """Errors of entry, registration and curvature in an insertion; by default, there is none.
 
     An execution draws each error once and keeps it to its end (docs/explanation/promise.md).
 
-    Raises InputError with every value outside its range.
+    The constructor raises InputError, with every value that is outside of its range.
 
     Examples
     --------
@@ -125,7 +125,7 @@ class Uncertainty(ConfigTable, error=InputError, between=(_one_registration, _lo
         }
 
     def rigid_error(self) -> RigidError:
-        """Return the error of the registration, of whichever form.
+        """Return the error of the registration: `registration`, or a shift with the error `tre_mm`.
 
         Examples
         --------
@@ -136,7 +136,7 @@ class Uncertainty(ConfigTable, error=InputError, between=(_one_registration, _lo
         return self.registration or RigidError.of_tre(self.tre_mm)
 
     def ratios(self, numbers: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return true curvatures relative to the planned one, of standard normal numbers.
+        """Convert standard normal numbers to ratios of the true to the planned curvature.
 
         Parameters
         ----------

@@ -88,7 +88,7 @@ class GuardCore:
 
     @property
     def rest(self) -> Rest:
-        """What is known of the needle after the last stop: RESTS once it was measured at rest; UNKNOWN before a stop.
+        """Motion state of the needle after the last stop: RESTS if it was measured at rest; UNKNOWN before any stop.
 
         After MOVES or UNKNOWN, treat the needle as moving.
         """
@@ -233,25 +233,25 @@ class GuardCore:
             return
         if transition.state.is_zero_lost and not before.is_zero_lost:
             self._wire.plan_unhome()
-        found = list(events)
+        listed = list(events)
         raised, cleared = transition.state.present - before.present, before.present - transition.state.present
         if raised:
-            found.append(self._event(SafetyEventName.RAISED, now_ns, raised, text))
+            listed.append(self._event(SafetyEventName.RAISED, now_ns, raised, text))
         if cleared:
-            found.append(self._event(SafetyEventName.CLEARED, now_ns, cleared))
+            listed.append(self._event(SafetyEventName.CLEARED, now_ns, cleared))
         if transition.state.operating is not before.operating:
             self.reason = text
             event = self._event(SafetyEventName.TRANSITION, now_ns, transition.causes, text)
-            found.append(replace(event, before=before.operating))
+            listed.append(replace(event, before=before.operating))
         if GuardAction.STOP not in transition.actions:
-            self._wire.plan_events(*found)
+            self._wire.plan_events(*listed)
             return
         self._monitor.stops(self._limits, now_ns, anew=not before.is_stopping)
         self._commander = None
         stop = self._event(SafetyEventName.STOP, now_ns, transition.causes, text)
-        self._wire.plan_stop(found, stop)
+        self._wire.plan_stop(listed, stop)
 
-    def _require_none(self, what: str, against: frozenset[Cause], now_ns: int) -> None:
+    def _require_none(self, request: str, against: frozenset[Cause], now_ns: int) -> None:
         """Raise MotionRefused if any cause forbids the command; otherwise make this thread the commander."""
         transition = advance(self._state, MotionOrder.MOVE.by(Owner.LOOP), now_ns)
         if transition.refused:
@@ -259,14 +259,14 @@ class GuardCore:
         elif self._commander not in (None, threading.get_ident()):
             against |= {Cause.SECOND_COMMANDER}
         if against:
-            self._refuse(what, against, now_ns)
+            self._refuse(request, against, now_ns)
         self._state, self._commander = transition.state, threading.get_ident()
         self._monitor.stop, self._has_moved = None, True
 
-    def _refuse(self, what: str, causes: Collection[Cause], now_ns: int, by: str = "") -> None:
-        event = self._event(SafetyEventName.REFUSAL, now_ns, causes, f"{what} by {by}" if by else what)
+    def _refuse(self, request: str, causes: Collection[Cause], now_ns: int, by: str = "") -> None:
+        event = self._event(SafetyEventName.REFUSAL, now_ns, causes, f"{request} by {by}" if by else request)
         self._wire.plan_events(event)
-        raise MotionRefused(what, sorted(causes))
+        raise MotionRefused(request, sorted(causes))
 
     def _event(
         self, name: SafetyEventName, now_ns: int, causes: Collection[Cause] = (), text: str = "", *,

@@ -129,8 +129,8 @@ class GuardedStage(GuardCore, Stage):
         """Report that the loop is running, validate all inputs, and return the state. The loop calls `tick` regularly.
 
         Only this method sends heartbeats to the stage, at most one in 4.5 ms. If the loop ends or hangs, the heartbeats
-        cease, and the watchdog of the stage stops the motion; so they do if the needle moves in spite of a stop. If a
-        heartbeat cannot be sent, the stage has failed.
+        cease, and the watchdog of the stage stops the motion. The heartbeats also cease if the needle moves in spite of
+        a stop. If a heartbeat cannot be sent, the stage has failed.
         """
         with self._held() as now_ns:
             # Validated before the time of the last tick is replaced, so that a late tick is detected.
@@ -167,9 +167,9 @@ class GuardedStage(GuardCore, Stage):
     def order(self, order: Order, by: str | Owner = "") -> SafetyState:
         """Validate all inputs, carry out an order, and return the state.
 
-        `by` is the name of the person who gives the order, or the Owner if it is not a person. A stage that has lost
-        its zero refuses ENABLE, and HOME by anybody but a person, whose HOME is passed on to the stage. Raises
-        MotionRefused with all causes of the refusal, or the DeviceFault of the stage.
+        `by` is the name of the person who gives the order, or the Owner if it is not a person. If the stage has lost
+        its zero, the guard refuses ENABLE, and accepts HOME of a person only; this HOME is passed on to the stage.
+        Raises MotionRefused with all causes of the refusal, or the DeviceFault of the stage.
         """
         owner = by if isinstance(by, Owner) else Owner.PERSON
         is_found = order is Order.HOME and owner is Owner.PERSON and self._stage.homed is False
@@ -191,23 +191,23 @@ class GuardedStage(GuardCore, Stage):
         """Begin to move to a depth at a speed. Raises MotionRefused if a check fails, or the stage's DeviceFault."""
         with self._held() as now_ns:
             self._validate(now_ns)
-            limits, what = self._limits, f"insert to {depth_mm:g} mm at {velocity_mm_s:g} mm/s"
+            limits, request = self._limits, f"insert to {depth_mm:g} mm at {velocity_mm_s:g} mm/s"
             here = self._monitor.inputs.stage_known(limits, now_ns)
-            self._require_none(what, against_insertion(limits, here, depth_mm, velocity_mm_s), now_ns)
+            self._require_none(request, against_insertion(limits, here, depth_mm, velocity_mm_s), now_ns)
             self._monitor.motion = self._monitor.motion.inserts(depth_mm, velocity_mm_s, now_ns)
             values = {"depth_mm": depth_mm, "velocity_mm_s": velocity_mm_s}
-            command = self._command(SafetyEventName.COMMAND, values, what, now_ns)
+            command = self._command(SafetyEventName.COMMAND, values, request, now_ns)
         self._send(command, self._stage.insert)
 
     def rotate(self, roll_rad: float, velocity_rad_s: float) -> None:
         """Begin to rotate the base to a roll. Raises MotionRefused if a check fails, or the stage's DeviceFault."""
         with self._held() as now_ns:
             self._validate(now_ns)
-            what = f"rotate to {roll_rad:g} rad at {velocity_rad_s:g} rad/s"
-            self._require_none(what, against_rotation(self._limits, roll_rad, velocity_rad_s), now_ns)
+            request = f"rotate to {roll_rad:g} rad at {velocity_rad_s:g} rad/s"
+            self._require_none(request, against_rotation(self._limits, roll_rad, velocity_rad_s), now_ns)
             self._monitor.motion = self._monitor.motion.rotates(roll_rad, velocity_rad_s, now_ns)
             values = {"roll_rad": roll_rad, "velocity_rad_s": velocity_rad_s}
-            command = self._command(SafetyEventName.COMMAND, values, what, now_ns)
+            command = self._command(SafetyEventName.COMMAND, values, request, now_ns)
         self._send(command, self._stage.rotate)
 
     def retract(self, depth_mm: float, velocity_mm_s: float, by: str = "") -> None:
@@ -216,20 +216,20 @@ class GuardedStage(GuardCore, Stage):
         Raises MotionRefused if the goal is not outward or a value is not permitted, or the DeviceFault of the stage.
         """
         with self._held() as now_ns:
-            limits, what = self._limits, f"retract to {depth_mm:g} mm at {velocity_mm_s:g} mm/s"
+            limits, request = self._limits, f"retract to {depth_mm:g} mm at {velocity_mm_s:g} mm/s"
             here = self._monitor.inputs.stage_known(limits, now_ns)
             against = against_retraction(limits, here, depth_mm, velocity_mm_s)
             if against:
-                self._refuse(what, against, now_ns, by)
+                self._refuse(request, against, now_ns, by)
             self._obey_waiting(now_ns)  # a stop that was ordered before must not stop the retraction
             transition = advance(self._state, MotionOrder.RETRACT.by(Owner.PERSON), now_ns)
             # From here on, no other cause stops the needle, and no earlier stop is repeated, unless the stage refuses.
-            self._follow(transition, now_ns, what)
+            self._follow(transition, now_ns, request)
             self._monitor.stop, self._has_moved = None, True
             self._monitor.motion = self._monitor.motion.retracts(depth_mm, velocity_mm_s, now_ns)
             self._supervision.post(limits, self._state, self._monitor, by_person=True)
             values = {"depth_mm": depth_mm, "velocity_mm_s": velocity_mm_s}
-            command = self._command(SafetyEventName.RETRACTION, values, what, now_ns, by or "a person")
+            command = self._command(SafetyEventName.RETRACTION, values, request, now_ns, by or "a person")
         try:
             self._send(command, self._stage.insert)
         except DeviceFault:

@@ -236,11 +236,11 @@ class Inputs:
 
 def validate(inputs: Inputs, limits: SafetyLimits, now_ns: int) -> frozenset[Cause]:
     """Return every cause that the inputs show at a time (ns); empty if all are fresh, valid and within limits."""
-    found: list[Cause] = []
-    _force(found, inputs.force, limits, now_ns)
-    _pose(found, inputs, limits, now_ns)
-    _stage(found, inputs.stage, limits, now_ns)
-    return frozenset(found) if found else _NONE
+    causes: list[Cause] = []
+    _force(causes, inputs.force, limits, now_ns)
+    _pose(causes, inputs, limits, now_ns)
+    _stage(causes, inputs.stage, limits, now_ns)
+    return frozenset(causes) if causes else _NONE
 
 
 # Causes of each input: the device has failed; no fresh sample arrives; no fresh sample is usable.
@@ -250,47 +250,47 @@ _POSE_UNSEEN = (Cause.POSE_FAULT, Cause.POSE_STALE, Cause.POSE_UNSEEN)
 _STAGE = (Cause.STAGE_FAULT, Cause.STAGE_STALE, Cause.STAGE_SUSPECT)
 
 
-def _force(found: list[Cause], force: InputStatus[ForceSample], limits: SafetyLimits, now_ns: int) -> None:
-    _age(found, force, limits.force_age_s, now_ns, _FORCE)
+def _force(causes: list[Cause], force: InputStatus[ForceSample], limits: SafetyLimits, now_ns: int) -> None:
+    _age(causes, force, limits.force_age_s, now_ns, _FORCE)
     if force.last is not None and math.hypot(*force.last.force_n) > limits.force_n:
-        found.append(Cause.FORCE_EXCEEDED)
+        causes.append(Cause.FORCE_EXCEEDED)
 
 
-def _pose(found: list[Cause], inputs: Inputs, limits: SafetyLimits, now_ns: int) -> None:
+def _pose(causes: list[Cause], inputs: Inputs, limits: SafetyLimits, now_ns: int) -> None:
     pose = inputs.pose
     unseen = pose.last is not None and pose.last.health is Health.MISSING
-    _age(found, pose, limits.pose_age_s, now_ns, _POSE_UNSEEN if unseen else _POSE)
+    _age(causes, pose, limits.pose_age_s, now_ns, _POSE_UNSEEN if unseen else _POSE)
     if pose.usable_ns is None:
         return
     if inputs.frozen:
-        found.append(Cause.POSE_FROZEN)
+        causes.append(Cause.POSE_FROZEN)
     fastest_mm_s = max(limits.insertion_velocity_mm_s, limits.retraction_velocity_mm_s)
     if inputs.step_mm > limits.pose_jump_mm + fastest_mm_s * inputs.step_s:
-        found.append(Cause.POSE_JUMPED)
+        causes.append(Cause.POSE_JUMPED)
     distance_mm, tip_mm = inputs.out_of_plane_mm, inputs.tip_mm
     if tip_mm is None or not (math.isfinite(tip_mm[0]) and math.isfinite(tip_mm[1]) and math.isfinite(distance_mm)):
-        found.append(Cause.TIP_UNKNOWN)
+        causes.append(Cause.TIP_UNKNOWN)
         return
     if abs(distance_mm) > limits.out_of_plane_mm:
-        found.append(Cause.OUT_OF_PLANE)
+        causes.append(Cause.OUT_OF_PLANE)
     for place, range_mm in zip(tip_mm, (limits.workspace_x_mm, limits.workspace_y_mm), strict=True):
         if range_mm is not None and not range_mm[0] <= place <= range_mm[1]:
-            found.append(Cause.OUT_OF_WORKSPACE)
+            causes.append(Cause.OUT_OF_WORKSPACE)
 
 
-def _stage(found: list[Cause], stage: InputStatus[StageSample], limits: SafetyLimits, now_ns: int) -> None:
-    _age(found, stage, limits.stage_age_s, now_ns, _STAGE)
+def _stage(causes: list[Cause], stage: InputStatus[StageSample], limits: SafetyLimits, now_ns: int) -> None:
+    _age(causes, stage, limits.stage_age_s, now_ns, _STAGE)
     if stage.last is None:
         return
     depth_mm, over_mm = stage.last.depth_mm, limits.following_mm
     if depth_mm < limits.shallowest_mm - over_mm or depth_mm > limits.deepest_mm + over_mm:
-        found.append(Cause.DEPTH_EXCEEDED)
+        causes.append(Cause.DEPTH_EXCEEDED)
 
 
 def _age(
-    found: list[Cause], status: InputStatus[_Sample], limit_s: float, now_ns: int, causes: tuple[Cause, Cause, Cause]
+    present: list[Cause], status: InputStatus[_Sample], limit_s: float, now_ns: int, causes: tuple[Cause, Cause, Cause]
 ) -> None:
-    """Append to `found` the cause that follows from the failure or the age of an input, and CLOCK_MISMATCH.
+    """Append to `present` the cause that follows from the failure or the age of an input, and CLOCK_MISMATCH.
 
     `causes` are the causes for a failed device, for no sample that was taken within `limit_s`, and for no usable one. A
     sample that was delayed on its way is as old as its delay, so that a delayed stream is stale.
@@ -300,9 +300,9 @@ def _age(
         status.failed, received_ns, status.taken_ns, status.usable_ns, limit_s, now_ns
     )
     if is_of_the_future:
-        found.append(Cause.CLOCK_MISMATCH)
+        present.append(Cause.CLOCK_MISMATCH)
     if freshness:
-        found.append(causes[freshness - 1])
+        present.append(causes[freshness - 1])
 
 
 def _older(moment_ns: int | None, limit_s: float, now_ns: int) -> bool:

@@ -144,19 +144,21 @@ class SafetyLimits(ConfigTable, key="safety", error=SafetyError, between=(_depth
 
         A workspace is narrower than its default, which has no limit, so it is never listed.
         """
-        found = []
+        lax = []
         for field in fields(self):
             value, usual = getattr(self, field.name), field.default
             if usual is None:
                 continue
             if value < usual if field.name in _LAX_IF_SMALLER else value > usual:
-                found.append(Mistake(f"{self.key}.{field.name}", f"{value:g}", f"is laxer than the default, {usual:g}"))
-        return tuple(found)
+                lax.append(Mistake(f"{self.key}.{field.name}", f"{value:g}", f"is laxer than the default, {usual:g}"))
+        return tuple(lax)
 
     def require_accepted(self, reason: str, how: str) -> None:
         """Raise SafetyError with every lax limit if there are any and `reason` is blank; `how` tells how to give it."""
         if not reason.strip() and (lax := self.lax):
-            raise SafetyError([replace(each, rule=f"{each.rule}; give the reason {how}") for each in lax], "limits")
+            raise SafetyError(
+                [replace(mistake, rule=f"{mistake.rule}; give the reason {how}") for mistake in lax], "limits"
+            )
 
     @classmethod
     def from_table(cls, raw: object, source: str = "") -> SafetyLimits:

@@ -102,7 +102,7 @@ class RunMonitor:
             self.stop.see(taken_s, *numbers, sample.stamp.device_time_s)
 
     def stops(self, limits: SafetyLimits, now_ns: int, *, anew: bool) -> None:
-        """Note that a stop is sent at a time (ns); `anew`: not while an earlier stop still lasts."""
+        """Note that a stop is sent at a time (ns); `anew` is false while an earlier stop still lasts."""
         last, goal, roll = self.inputs.stage.last, self.motion.depth, self.motion.roll
         if anew or self.stop is None:
             speed_mm_s = max(abs(last.velocity_mm_s) if last else 0.0, goal.velocity if goal else 0.0)

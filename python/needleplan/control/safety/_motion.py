@@ -32,8 +32,9 @@ class Goal:
     """Command to one axis: position at the start and goal (mm or rad), and commanded velocity.
 
     `begin_velocity` is the velocity at the start, `began_ns` the time of the start. `is_retraction` tells whether a
-    person ordered the motion by `retract`. Let the progress be the way from the start towards the goal: `best` is its
-    largest value, `mark` the value that `seen` has last taken for a motion, and `mark_ns` the time of that sample.
+    person ordered the motion by `retract`. The progress is the distance from the start towards the goal. `best` is the
+    largest progress, `mark` the progress at which `seen` has last noted a motion, and `mark_ns` the time of that
+    sample.
     """
 
     begin: float

@@ -160,7 +160,7 @@ class SafetyState:
 
     @property
     def person_paused(self) -> bool:
-        """Whether a person ordered the present pause, or a retraction during the pause."""
+        """Whether a person has ordered the present pause, or a retraction during this pause."""
         return self.operating is OperatingState.PAUSED and self.held_by is Owner.PERSON
 
     @property

@@ -20,7 +20,7 @@ _OF_AGE = frozenset({Cause.STAGE_STALE, Cause.STAGE_SUSPECT})
 
 
 class Supervision:
-    """The supervisor of a stage; None if the stage has none, which then gets no posts and adds no causes.
+    """Access of the guard to the supervisor of a stage; without a supervisor, all methods do nothing.
 
     A supervisor stops the needle by itself (a *trip*) if the samples of the robot or the age of an input require it.
     """

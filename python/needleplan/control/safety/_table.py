@@ -53,7 +53,7 @@ _REPORTS = {
 
 
 def transition_table() -> str:
-    """Return the table as CSV: events as rows, states as columns, what happens in the cells."""
+    """Return the table as CSV: a row for each event, a column for each state, and the transitions in the cells."""
     rows = [["event", *_STATES]]
     for name, report in _REPORTS.items():
         rows.append([name, *(_cell(state, report) for state in _STATES.values())])
@@ -65,7 +65,7 @@ def transition_table() -> str:
 
 
 def _rows(order: Order | MotionOrder) -> Iterator[list[str]]:
-    by = {owner: [_cell(each, order.by(owner)) for each in _STATES.values()] for owner in (Owner.PERSON, Owner.LOOP)}
+    by = {owner: [_cell(state, order.by(owner)) for state in _STATES.values()] for owner in (Owner.PERSON, Owner.LOOP)}
     if by[Owner.PERSON] == by[Owner.LOOP]:
         yield [f"{order}", *by[Owner.PERSON]]
         return

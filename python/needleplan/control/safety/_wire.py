@@ -92,7 +92,7 @@ class Heartbeat:
 
 @dataclass(frozen=True)
 class MotionCommand:
-    """A motion command that is decided and not yet sent; `stops` is the number of stops decided before it."""
+    """A motion command before it is sent; `stops` is the number of stops that were decided before the command."""
 
     values: dict[str, float]
     event: SafetyEvent
@@ -137,7 +137,7 @@ class GuardWire:
         return self.repeated_stop.is_on_its_way or self._commands > 0
 
     def overtake(self) -> None:
-        """Let no command that was decided before reach the stage after a stop that is sent now, without the lock."""
+        """Drop the commands that were decided before, because a stop is sent now, without the lock."""
         self.stops += 1
 
     def plan_alarm(self, rest: Rest) -> None:

@@ -30,7 +30,7 @@ _NOISE_OF_STEP = 0.886  # standard deviation of Gaussian noise / mean absolute d
 
 
 class BiasWatch:
-    """Looks for the step of all six axes to zero that a bias under load leaves in the stream."""
+    """Detects the bias of another client: with a load, all six axes step to zero within one sample."""
 
     def __init__(self) -> None:
         self._steps = [0.0] * _AXES
@@ -49,12 +49,12 @@ class BiasWatch:
         if last is None:
             return False
         noise = [max(_NOISE_OF_STEP * step, floor) for step, floor in zip(self._steps, _FLOORS, strict=True)]
-        zero = all(abs(value) <= _ZERO * each for value, each in zip(values, noise, strict=True))
+        zero = all(abs(value) <= _ZERO * sd for value, sd in zip(values, noise, strict=True))
         loaded = self._quiet and any(
-            abs(value) > max(_LOADED * each, load) for value, each, load in zip(last, noise, _LOADS, strict=True)
+            abs(value) > max(_LOADED * sd, load) for value, sd, load in zip(last, noise, _LOADS, strict=True)
         )
         self._quiet = all(
-            abs(value - before) <= _ZERO * each for value, before, each in zip(values, last, noise, strict=True)
+            abs(value - before) <= _ZERO * sd for value, before, sd in zip(values, last, noise, strict=True)
         )
         if zero and (self._zeros or loaded):
             self._zeros += 1
@@ -71,7 +71,7 @@ class BiasWatch:
 class Poll(Closing):
     """Calls `check` every `period_s` in a thread of its own until it is closed; the errors of devices are ignored.
 
-    `check` itself stores what it has found.
+    `check` itself stores its result.
     """
 
     def __init__(self, check: Callable[[], object], period_s: float) -> None:

@@ -73,18 +73,18 @@ def parse_configuration(xml: bytes, source: str = "") -> Configuration:
         root = ElementTree.fromstring(xml)
     except (ElementTree.ParseError, ValueError, LookupError) as error:
         raise ConfigurationError(f"is not XML: {error}", source) from error
-    found = {element.tag: (element.text or "").strip() for element in root.iter()}
+    texts = {element.tag: (element.text or "").strip() for element in root.iter()}
     mistakes: list[Mistake] = []
-    factors = [_factor(found, key, mistakes) for key in ("cfgcpf", "cfgcpt")]
-    units = [_unit(found, key, known, mistakes) for key, known in (("scfgfu", FORCE_UNITS), ("scfgtu", TORQUE_UNITS))]
-    if found.get("comrdte", "Enabled").lower() not in ("enabled", "1"):
-        mistakes.append(Mistake("comrdte", found["comrdte"], "RDT must be enabled in the box"))
+    factors = [_factor(texts, key, mistakes) for key in ("cfgcpf", "cfgcpt")]
+    units = [_unit(texts, key, known, mistakes) for key, known in (("scfgfu", FORCE_UNITS), ("scfgtu", TORQUE_UNITS))]
+    if texts.get("comrdte", "Enabled").lower() not in ("enabled", "1"):
+        mistakes.append(Mistake("comrdte", texts["comrdte"], "RDT must be enabled in the box"))
     if mistakes:
         raise ConfigurationError(mistakes, source)
     return Configuration(
         factors[0], factors[1], units[0], units[1],
-        found.get("prodname", ""), found.get("setserial", ""), _number(found.get("comrdtrate", "")),
-        _measuring_hz(found), _bias(found.get("setbias", "")),
+        texts.get("prodname", ""), texts.get("setserial", ""), _number(texts.get("comrdtrate", "")),
+        _measuring_hz(texts), _bias(texts.get("setbias", "")),
     )  # fmt: skip
 
 
@@ -107,16 +107,16 @@ def fetch_configuration(host: str, port: int = 80, slot: int | None = None, time
     return parse_configuration(xml, url)
 
 
-def _factor(found: dict[str, str], key: str, mistakes: list[Mistake]) -> float:
-    value = _number(found.get(key, ""))
+def _factor(texts: dict[str, str], key: str, mistakes: list[Mistake]) -> float:
+    value = _number(texts.get(key, ""))
     if value is None or not value > 0:
-        mistakes.append(Mistake(key, found.get(key, ""), "must be a positive number: the counts per unit"))
+        mistakes.append(Mistake(key, texts.get(key, ""), "must be a positive number: the counts per unit"))
         return math.nan
     return value
 
 
-def _unit(found: dict[str, str], key: str, known: MappingProxyType[str, float], mistakes: list[Mistake]) -> str:
-    text = found.get(key, "")
+def _unit(texts: dict[str, str], key: str, known: MappingProxyType[str, float], mistakes: list[Mistake]) -> str:
+    text = texts.get(key, "")
     for name in known:
         if text.replace("-", "").casefold() == name.replace("-", "").casefold():
             return name
@@ -124,15 +124,15 @@ def _unit(found: dict[str, str], key: str, known: MappingProxyType[str, float], 
     return ""
 
 
-def _measuring_hz(found: dict[str, str]) -> float:
+def _measuring_hz(texts: dict[str, str]) -> float:
     """Return the rate of measurements: `runrate` of a Net F/T, `setrate` of an Ethernet Axia, else 7000 Hz."""
-    rates = (_number(found.get(key, "")) for key in ("runrate", "setrate"))
+    rates = (_number(texts.get(key, "")) for key in ("runrate", "setrate"))
     return next((rate for rate in rates if rate is not None and rate > 0), Configuration.measuring_hz)
 
 
 def _bias(text: str) -> tuple[int, ...] | None:
     try:
-        values = tuple(int(each) for each in text.split(";"))
+        values = tuple(int(number) for number in text.split(";"))
     except ValueError:
         return None
     return values if len(values) == 6 else None

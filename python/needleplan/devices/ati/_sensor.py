@@ -186,8 +186,8 @@ class NetFt(ForceSensor):
     def start(self) -> None:
         """Read the configuration, request the stream (up to three times), and wait for the first record.
 
-        If the box has measured on since the last session, and its bias is the same, a bias of the last session is still
-        in force, and a bias under load is still refused. Otherwise the box may have lost its bias.
+        If the box has run without interruption since the last session and has the same bias, the bias of that session
+        still holds: a new bias under load is refused. Otherwise the box may have lost its bias.
 
         Raises ConfigurationError if the configuration cannot be used, DeviceFault if the configuration cannot be read
         or no record arrives.

@@ -193,9 +193,9 @@ class Cia402Drive:
             (Entry.ABORT_CONNECTION, AbortOption.QUICK_STOP), (Entry.MODE_SHOWN, _PROFILE_POSITION),
             (Entry.CONSUMER_HEARTBEAT, master << 16 | round(silence_s * 1000)),
         ):  # fmt: skip
-            found = self.read(entry)
-            if found != expected:
-                raise DeviceFault(f"{self.name}: {entry} is {found} after {expected} was written")
+            stored = self.read(entry)
+            if stored != expected:
+                raise DeviceFault(f"{self.name}: {entry} is {stored} after {expected} was written")
         self._node.nmt.state = "OPERATIONAL"
 
     def reset_fault(self) -> None:
@@ -271,11 +271,11 @@ class Cia402Drive:
                 raise DeviceFault(f"{self.name}: does not accept a new target")
             self.bus.clock.sleep(_POLL_S)
 
-    def _ask(self, entry: Entry, what: str, ask: Any) -> Any:
+    def _ask(self, entry: Entry, request: str, ask: Any) -> Any:
         self._heartbeat()
         try:
             return ask()
         except self._sdo_error as error:
-            raise DeviceFault(f"{self.name}: {what} {entry}: {error}") from error
+            raise DeviceFault(f"{self.name}: {request} {entry}: {error}") from error
         except (OSError, RuntimeError, library("can").CanError) as error:
-            raise DeviceFault(f"{self.name}: {what} {entry}: the bus cannot be used: {error}") from error
+            raise DeviceFault(f"{self.name}: {request} {entry}: the bus cannot be used: {error}") from error

@@ -47,10 +47,10 @@ class CanopenStage(Stage):
         self._drives: list[Cia402Drive] = []
         self._axes: list[Cia402Axis] = []
         try:
-            for each in (setup.insertion, setup.roll):
-                drive = Cia402Drive(bus, each, self.timing.answer_s, self.timing.change_s, self._beat)
+            for axis in (setup.insertion, setup.roll):
+                drive = Cia402Drive(bus, axis, self.timing.answer_s, self.timing.change_s, self._beat)
                 self._drives.append(drive)
-                self._axes.append(Cia402Axis(each, drive.name, self.timing.slack_s))
+                self._axes.append(Cia402Axis(axis, drive.name, self.timing.slack_s))
             self._rounds = Rounds(bus, self._axes, self.timing)
             self.start()
         except BaseException:
@@ -152,7 +152,7 @@ class CanopenStage(Stage):
             raise self._give_up(faults[0])
 
     def send_stop(self) -> None:
-        """Let another thread send a quick stop to both drives: the caller may hold the lock of the bus."""
+        """Let another thread send a quick stop to both drives, because the caller may hold the lock of the bus."""
         if self._closed:
             raise LinkClosed("the stage is closed")
         threading.Thread(target=self._quick_stop, name="stop", daemon=True).start()

@@ -330,6 +330,6 @@ class SlicerServer(MessageServer):
         self.publish("POLYDATA", name, encode_polyline(points_mm))
 
 
-def _require_numbers(what: str, numbers: Sequence[float]) -> None:
+def _require_numbers(name: str, numbers: Sequence[float]) -> None:
     if not all(map(math.isfinite, numbers)) or max(map(abs, numbers), default=0.0) > _LARGEST:
-        raise InputError(Mistake(what, str(numbers), "must be finite numbers between minus and plus one million"))
+        raise InputError(Mistake(name, str(numbers), "must be finite numbers between minus and plus one million"))

@@ -145,17 +145,17 @@ class PlusDevice:
         faults = self.faults
         stamp = 0 if faults.timeless else stamp_of(_BEGAN_S + time_s + faults.time_step_s)
         seen = [tool for tool in self.tools if tool.status == "OK" or not self.valid_only]
-        poses = [self._pose(each, time_s) for each in seen]
+        poses = [self._pose(tool, time_s) for tool in seen]
         kind = self.kind.upper()
         if self.kind.holds_tools:
-            tools = [IgtlTool(each.name[:20], pose, each.kind) for each, pose in zip(seen, poses, strict=True)]
+            tools = [IgtlTool(tool.name[:20], pose, tool.kind) for tool, pose in zip(seen, poses, strict=True)]
             content = encode_tdata(tools) if self.kind is PoseKind.TDATA else encode_qtdata(tools)
-            metadata = {f"{each.name}Status": each.status for each in seen}
+            metadata = {f"{tool.name}Status": tool.status for tool in seen}
             return [self._message(kind, f"TDATA_{len(seen)}Elem", content, stamp, metadata)]
         encode = encode_transform if self.kind is PoseKind.TRANSFORM else encode_position
         return [
-            self._message(kind, each.name[:20], encode(pose), stamp, _metadata_of(each))
-            for each, pose in zip(seen, poses, strict=True)
+            self._message(kind, tool.name[:20], encode(pose), stamp, _metadata_of(tool))
+            for tool, pose in zip(seen, poses, strict=True)
         ]
 
     def _pose(self, tool: TrackedTool, time_s: float) -> IgtlPose:
@@ -163,7 +163,7 @@ class PlusDevice:
             return IgtlPose((0.0, 0.0, 0.0))
         position_mm, quaternion = tool.pose(time_s)
         scale = self.faults.stretch * (-1 if self.faults.flip else 1)
-        w, x, y, z = (each * scale for each in quaternion)
+        w, x, y, z = (component * scale for component in quaternion)
         return IgtlPose(position_mm, (w, x, y, z))
 
     def _message(self, kind: str, device: str, content: bytes, stamp: int, metadata: dict[str, str]) -> IgtlMessage:

@@ -150,7 +150,7 @@ class IgtlTracker(Tracker):
         """
         self._fault: DeviceFault | None = None
         # Poses of all kinds are decoded, so that the message of a failed start can name the devices that were received.
-        wanted = {*(each.upper() for each in PoseKind), f"RTS_{self.kind.upper()}"}
+        wanted = {*(kind.upper() for kind in PoseKind), f"RTS_{self.kind.upper()}"}
         self._reader = MessageReader(wanted, needs_crc=self._needs_crc)
         self._validator = IgtlPoseValidator(self.limits, self._rate_hz)
         self._others: dict[str, None] = {}
@@ -239,14 +239,14 @@ class IgtlTracker(Tracker):
         """
         tools = _MANY[self.kind](message.content)
         short = self.name.encode()[:_NAME_BYTES].decode(errors="ignore")
-        found = [each for each in tools if each.name == short]
+        matching = [each for each in tools if each.name == short]
         for each in tools:
             self._note_other(f"{message.kind} {each.name!r}")
-        if len(found) > 1:
-            raise DeviceFault(f"tracker: {len(found)} tools are called {short!r}")
-        if not found:
+        if len(matching) > 1:
+            raise DeviceFault(f"tracker: {len(matching)} tools are called {short!r}")
+        if not matching:
             return None, ""
-        tool = found[0]
+        tool = matching[0]
         status = message.metadata.get(f"{self.name}Status", message.metadata.get(f"{short}Status", ""))
         if tool.kind is ToolKind.POSITION_ONLY:
             return IgtlPose(tool.pose.position_mm, distortion=tool.pose.distortion, oriented=False), status

@@ -70,7 +70,7 @@ def _contributions() -> tuple[npt.NDArray[np.uint64], list[list[int]]]:
     """
     rows = [_TABLE]
     while len(rows) < _BLOCK:
-        rows.append([(each << 8) & _MASK ^ _TABLE[each >> 56] for each in rows[-1]])
+        rows.append([(code << 8) & _MASK ^ _TABLE[code >> 56] for code in rows[-1]])
     rows.reverse()
     return np.array(rows, dtype=np.uint64), rows[:8]
 

@@ -169,7 +169,7 @@ def _from_columns(numbers: Sequence[float]) -> IgtlPose:
         (sums[1], sums[3], squares[2], sums[5]), (sums[2], sums[4], sums[5], squares[3]),
     )  # fmt: skip
     norm = math.hypot(*rows[largest])
-    w, x, y, z = (each / norm for each in rows[largest])
+    w, x, y, z = (component / norm for component in rows[largest])
     return IgtlPose(position, (w, x, y, z), distortion)
 
 

@@ -102,11 +102,11 @@ def choose_tool(tools: list[NdiTool], wanted: str) -> NdiTool:
     Raises ConfigurationError if no tool or several tools match.
     """
     there = ", ".join(f"{tool.serial or 'without number'} (handle {tool.handle:02X})" for tool in tools) or "none"
-    found = [tool for tool in tools if wanted in ("", tool.serial)]
-    if len(found) != 1:
+    matching = [tool for tool in tools if wanted in ("", tool.serial)]
+    if len(matching) != 1:
         rule = "must be the serial number of one tool" if wanted else "must be given unless there is exactly one tool"
         raise ConfigurationError(Mistake("tool", wanted, f"{rule}; available: {there}"), "tracker")
-    return found[0]
+    return matching[0]
 
 
 def _handles(conversation: NdiConversation, which: str) -> list[int]:

@@ -200,8 +200,8 @@ def encode_tx(frames: Frames) -> str:
     for tool in frames.tools:
         where = tool.visibility.name
         if tool.visibility is NdiVisibility.VALID:
-            numbers = [f"{round(each * 1e4):+06d}" for each in tool.quaternion]
-            numbers += [f"{round(each * 1e2):+07d}" for each in tool.position_mm]
+            numbers = [f"{round(component * 1e4):+06d}" for component in tool.quaternion]
+            numbers += [f"{round(coordinate * 1e2):+07d}" for coordinate in tool.position_mm]
             where = "".join(numbers) + f"{round(tool.error_mm * 1e4):+06d}"
         status = "" if tool.port_status is None else f"{tool.port_status:08X}{tool.frame or 0:08X}"
         lines.append(f"{tool.handle:02X}{where}{status}\n")
@@ -274,10 +274,10 @@ class NdiPoseValidator(PoseValidator):
         a new frame.
         """
         self._check_system(frames.system_status)
-        found = [tool for tool in frames.tools if tool.handle == self.handle]
-        if len(found) != 1:
-            raise DeviceFault(f"tracker: handle {self.handle:02X} occurs {len(found)} times in the reply")
-        tool = found[0]
+        matching = [tool for tool in frames.tools if tool.handle == self.handle]
+        if len(matching) != 1:
+            raise DeviceFault(f"tracker: handle {self.handle:02X} occurs {len(matching)} times in the reply")
+        tool = matching[0]
         if tool.visibility in (NdiVisibility.DISABLED, NdiVisibility.UNOCCUPIED) or tool.frame is None:
             raise DeviceFault(
                 f"tracker: the tool with handle {self.handle:02X} is {tool.visibility} in the middle of the run"
@@ -341,7 +341,7 @@ class NdiPoseValidator(PoseValidator):
             notes += (f"port status {unknown:08X}",)
         if tool.visibility is NdiVisibility.MISSING:
             return self.missing(stamp, "not seen", notes)
-        norm = math.sqrt(math.fsum(each * each for each in tool.quaternion))
+        norm = math.sqrt(math.fsum(component * component for component in tool.quaternion))
         if not self.are_plausible((*tool.position_mm, tool.error_mm, norm)) or norm < 0.5:
             return self.missing(stamp, "not a pose", notes)
         if abs(norm - 1) > limits.norm_tolerance:
@@ -349,5 +349,5 @@ class NdiPoseValidator(PoseValidator):
         if tool.error_mm > limits.most_error_mm:
             notes += (f"fit error {tool.error_mm:.3g} mm",)
         frames = 1 if self.last is None else (stamp.sequence - self.last.stamp.sequence) % _WRAP
-        w, x, y, z = (each / norm for each in tool.quaternion)
+        w, x, y, z = (component / norm for component in tool.quaternion)
         return self.sample(stamp, tool.position_mm, (w, x, y, z), tool.error_mm, notes, limits.step_mm * frames)

@@ -18,7 +18,7 @@ _SPAN_S = 0.4  # shortest duration (s) of a whole motion
 
 
 class RobotBench:
-    """The robot to which `connect` opens a link, at rest and free.
+    """A robot under test, at rest and without a controller; `connect` opens a link to it.
 
     The robot may move by `may_move_mm` (mm, 1 to 10, negative: outwards) from its present depth. `motion` says where it
     will move. Raises DeviceFault if the robot does not answer, has a controller, or moves, and AddressError if
@@ -66,7 +66,7 @@ class RobotBench:
 
     @contextlib.contextmanager
     def closing(self) -> Iterator[None]:
-        """At the end, let all controllers stop the robot and release it, the last one first."""
+        """Context at whose end all controllers stop and release the robot, the last controller first."""
         try:
             yield
         finally:

@@ -87,7 +87,7 @@ class RobotState(IntEnum):
 
 
 class Fault(IntFlag):
-    """Causes of a stop, with texts in `NAMES_OF_FAULTS`; a set bit stays set until RESET."""
+    """Causes of a stop as bits; a set bit stays set until RESET. `NAMES_OF_FAULTS` has their texts."""
 
     WATCHDOG = 0x01
     ESTOP = 0x02

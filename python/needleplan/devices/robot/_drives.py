@@ -79,9 +79,9 @@ class DriveLimits:
 
 
 class DriveStop:
-    """Stops `drive`, and stops it again in every tick in which it still moves, until `end`.
+    """Stops `drive`, and repeats the stop in every tick in which the drive still moves, until `end`.
 
-    A drive may miss a stop. That it moves is taken from the measured positions as well as from its own report.
+    A drive may miss a stop. A motion is seen in the measured positions or in the report of the drive.
     """
 
     def __init__(self, drive: RobotDrive) -> None:
@@ -117,18 +117,18 @@ class DriveStandstill:
         self._begin: tuple[float, float] | None = None
 
     def forget(self) -> None:
-        """Let the next state be the begin of a standstill."""
+        """Begin a standstill with the next state."""
         self._begin = None
 
     def is_left(self, state: RobotDriveState) -> bool:
-        """Return whether an axis has left its place at the begin; the first state after `forget` is the begin."""
+        """Return whether an axis has left its position in the first state after `forget`."""
         depth_mm, roll_rad = self._begin = self._begin or (state.depth_mm, state.roll_rad)
         stays = abs(state.depth_mm - depth_mm) <= _LEFT_MM and abs(state.roll_rad - roll_rad) <= _LEFT_RAD
         return not stays  # a position that is no number is no standstill
 
 
 class DriveRest:
-    """Measures since when both axes stand: their positions stay within 0.01 mm and 0.002 rad."""
+    """Measures how long both axes have stood: their positions stay within 0.01 mm and 0.002 rad."""
 
     def __init__(self) -> None:
         self._begin: tuple[float, float, float] | None = None
@@ -144,9 +144,9 @@ class DriveRest:
 class RangeWatch:
     """Compares the measured position of an axis with the range of the session, apart from any command.
 
-    Let `e` be the distance (mm or rad) of the axis beyond its range; 0 within. A session may begin beyond its range:
-    a needle that lies too deep must be pulled out in a session. So the allowed distance is the smallest `e` since
-    `forget`. The axis may return into its range, but may not move outward again by more than the tolerance.
+    Let `e` be the distance (mm or rad) of the axis beyond its range, 0 within. A session may begin beyond its range, so
+    that a needle that lies too deep can be pulled out. The allowed distance is therefore the smallest `e` since
+    `forget`: the axis may return into its range, but may not move away from the range again by more than the tolerance.
     """
 
     def __init__(self, tolerance: float) -> None:

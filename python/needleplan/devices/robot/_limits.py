@@ -14,8 +14,9 @@ class RobotLimits:
     """Limits of the robot itself. A controller may request narrower limits of motion for its session, never wider ones.
 
     While the robot moves, it stops after `silence_s` without a datagram from the controller. The controller may request
-    another time, which is limited to `shortest_silence_s` to `longest_silence_s`. After `release_s` the robot ends the
-    session and accepts another one. `longest_valid_s` is the longest time from the present to the deadline of a motion.
+    another time from `shortest_silence_s` to `longest_silence_s`. After `release_s` without a datagram, the robot ends
+    the session and accepts another one. `longest_valid_s` is the longest time from the present to the deadline of a
+    motion.
     """
 
     silence_s: float = 0.03

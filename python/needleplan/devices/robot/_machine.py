@@ -173,10 +173,10 @@ class RobotMachine:
         self._stands = self._rest.stands(state, now_ns / _NANO)
         session = self._session
         motion = self.limits.motion if session is None else session.limits
-        found = self._watch.see(state, now_ns / _NANO, motion)
+        faults = self._watch.see(state, now_ns / _NANO, motion)
         if before is not None and Fault.LIMIT in state.faults & before.faults:
             # The axis may move away from the limit switch; `_move` refuses the other direction.
-            found &= ~Fault.LIMIT
+            faults &= ~Fault.LIMIT
         elif Fault.LIMIT in state.faults:
             self._limited = math.copysign(1.0, state.velocity_mm_s)
         if session is not None:
@@ -184,12 +184,12 @@ class RobotMachine:
             if silent_ns <= session.silence_ns:
                 session.silent.forget()
             elif (session.silent.is_left(state) or state.moving) and self.state is RobotState.ENABLED:
-                found |= Fault.WATCHDOG
+                faults |= Fault.WATCHDOG
             if silent_ns > self.limits.release_s * _NANO:
                 self._end()
-        if found:
-            self.faults |= found
-            self.homed = self.homed and Fault.ENCODER not in found
+        if faults:
+            self.faults |= faults
+            self.homed = self.homed and Fault.ENCODER not in faults
             if self.state is not RobotState.FAULT:
                 self.state = RobotState.FAULT
                 self._stop.begin()

@@ -96,10 +96,10 @@ def insert(bench: RobotBench) -> None:
     command = probe.command(K.INSERT, motion.far_mm, motion.speed_mm_s)
     probe.expect(command)
     on_the_way = probe.listen(bench.motion.seconds + 0.2)
-    heard = [each for each in on_the_way if each.head.number == command.head.number]
+    heard = [status for status in on_the_way if status.head.number == command.head.number]
     require(bool(heard), "no status has the number of the accepted command")
-    short = [each for each in heard if abs(each.depth_mm - motion.far_mm) > 0.5]
-    require(all(each.moving for each in short), "MOVING is not set on the way")
+    short = [status for status in heard if abs(status.depth_mm - motion.far_mm) > 0.5]
+    require(all(status.moving for status in short), "MOVING is not set on the way")
     most = max(
         (
             abs(b.depth_mm - a.depth_mm) * 1e9 / (b.head.sent_ns - a.head.sent_ns)
@@ -171,7 +171,9 @@ def stop_repeated(bench: RobotBench) -> None:
         probe.post(stop)
     probe.rests("STOP", bench.motion.speed_mm_s)
     require(probe.last.state is RobotState.ENABLED, f"is {probe.last.state.name} instead of ENABLED")
-    accepted = {each.head.number for each in probe.answers if each.asked == K.STOP and each.result is R.ACCEPTED}
+    accepted = {
+        answer.head.number for answer in probe.answers if answer.asked == K.STOP and answer.result is R.ACCEPTED
+    }
     require(stops[-1].head.number in accepted, "the last STOP is not accepted")
 
 
@@ -211,9 +213,9 @@ def witness(bench: RobotBench) -> None:
     """The sender of a STOP with session 0 gets statuses of session 0 for 0.5 s, with the number of its STOP."""
     probe = bench.ready()
     other = bench.foreign_stop()
-    heads = [each.head for each in other.listen(0.4, alive=False)]
+    heads = [status.head for status in other.listen(0.4, alive=False)]
     require(len(heads) >= 40, f"{len(heads)} statuses in 0.4 s")
-    require({(each.session, each.number) for each in heads} == {(0, other.number)}, "another session or number")
+    require({(head.session, head.number) for head in heads} == {(0, other.number)}, "another session or number")
     require(all(a.sequence < b.sequence for a, b in pairwise(heads)), "they are not counted")
     probe.listen(0.4)
     other.listen(0.05, alive=False)

@@ -44,7 +44,7 @@ ASTRAY_MM = 1.5  # distance beyond the stated range (mm) at which the test is gi
 
 
 class RuleBroken(DeviceFault):
-    """A robot does not keep a rule of the protocol; the message says what it did instead."""
+    """A robot does not keep a rule of the protocol; the message says what the robot did instead."""
 
 
 class RobotAstray(DeviceFault):
@@ -58,7 +58,7 @@ def require(holds: bool, found: str) -> None:
 
 
 def sealed(begin: bytes) -> bytes:
-    """Return a datagram with the right checksum, whatever it contains."""
+    """Return the bytes `begin` with their checksum appended, also for a meaningless datagram."""
     return begin + struct.pack("<I", zlib.crc32(begin))
 
 
@@ -182,9 +182,10 @@ class RobotProbe:
         """Send a command. Raises RuleBroken if its result is not one of `results`, by default ACCEPTED."""
         results = results or (Result.ACCEPTED,)
         result = self.ask(message)
-        found = "gets no answer" if result is None else f"is answered with {result.name}"
+        outcome = "gets no answer" if result is None else f"is answered with {result.name}"
         require(
-            result in results, f"{message.kind.name} {found} instead of {' or '.join(each.name for each in results)}"
+            result in results,
+            f"{message.kind.name} {outcome} instead of {' or '.join(expected.name for expected in results)}",
         )
 
     def enable(self) -> RobotProbe:
@@ -244,7 +245,7 @@ class RobotProbe:
     def stays(self, after: str) -> None:
         """Raise RuleBroken if the needle moves."""
         begin_mm = self.last.depth_mm
-        moved_mm = max((abs(each.depth_mm - begin_mm) for each in self.listen(0.15)), default=math.inf)
+        moved_mm = max((abs(status.depth_mm - begin_mm) for status in self.listen(0.15)), default=math.inf)
         require(moved_mm <= 0.05, f"moves by {moved_mm:.2f} mm after {after}")
 
     def depart(self, seconds: float = 0.1) -> RobotProbe:

@@ -20,7 +20,9 @@ _LONGEST = 2048  # bytes of the longest datagram
 
 
 class RobotRelay:
-    """Serves the robot at `robot` (host, port) at a UDP socket of this machine; the robot sees one sender for each.
+    """Relays datagrams between a UDP socket of this machine and the robot at `robot` (host, port).
+
+    The robot sees one sender for each sender at the socket.
 
     `run` calls `seen` with each status of a session, and `tick` with the monotonic time (s) at every interval. A tick
     that begins more than one interval late counts as an overrun, and missed ticks are omitted.

@@ -44,7 +44,7 @@ def statuses(bench: RobotBench) -> None:
 
 
 def echo(bench: RobotBench) -> None:
-    """A status repeats the sending time of the last datagram, and says how long ago it arrived."""
+    """A status repeats the sending time of the last received datagram, and states the time since its arrival."""
     probe = bench.ready()
     alive = probe.command(K.ALIVE, number=0)
     probe.post(alive)
@@ -79,7 +79,7 @@ def damaged(bench: RobotBench) -> None:
     ):  # fmt: skip
         probe.post(bad)
     probe.listen(0.1)
-    require(all(each.head.number != number for each in probe.answers), "answers a damaged ENABLE")
+    require(all(answer.head.number != number for answer in probe.answers), "answers a damaged ENABLE")
     require(probe.last.state is RobotState.DISABLED, "executes a damaged ENABLE")
     probe.expect(probe.command(K.ENABLE))
 
@@ -89,10 +89,10 @@ def other_version(bench: RobotBench) -> None:
     probe = bench.probe()
     hello = encode(probe.hello())
     for kind, answers in ((K.HELLO, True), (K.STATUS, False)):
-        before = probe.other_versions + sum(each.result is R.WRONG_VERSION for each in probe.answers)
+        before = probe.other_versions + sum(answer.result is R.WRONG_VERSION for answer in probe.answers)
         probe.post(sealed(hello[:4] + bytes([99, kind]) + hello[6:-4]))
         probe.listen(0.1, alive=False)
-        after = probe.other_versions + sum(each.result is R.WRONG_VERSION for each in probe.answers)
+        after = probe.other_versions + sum(answer.result is R.WRONG_VERSION for answer in probe.answers)
         require(
             (after > before) == answers, f"{kind.name} of version 99 {'is' if after > before else 'is not'} answered"
         )
@@ -104,7 +104,7 @@ def version_2(bench: RobotBench) -> None:
     probe.expect(probe.hello(version=OLDEST_VERSION))
     heard = probe.listen(0.1, alive=False)
     require(bool(heard), f"sends no status that version {OLDEST_VERSION} permits")
-    require({each.head.version for each in heard} == {OLDEST_VERSION}, f"sends statuses of version {VERSION}")
+    require({status.head.version for status in heard} == {OLDEST_VERSION}, f"sends statuses of version {VERSION}")
 
 
 def busy(bench: RobotBench) -> None:

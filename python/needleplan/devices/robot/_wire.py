@@ -52,7 +52,7 @@ class RobotWire(Closing, StageSupervisor):
         return data is not None
 
     def receive(self, timeout_s: float) -> RobotMessage | None:
-        """Return the meaning of the next datagram of the robot; None after `timeout_s`. Raises LinkClosed."""
+        """Return the next datagram of the robot, decoded; None after `timeout_s`. Raises LinkClosed."""
         if self.is_native:
             try:
                 return self.supervisor.receive(timeout_s)
@@ -70,7 +70,7 @@ class RobotWire(Closing, StageSupervisor):
                 self._link.send(data)
 
     def seen(self, stage_age_s: float) -> tuple[int, int, int, int]:
-        """Return the number, causes and time of the last trip, and the causes that the age of the samples gives."""
+        """Return the number of trips, the causes and time (ns) of the last trip, and the causes by old samples."""
         return self.supervisor.seen(stage_age_s, self._clock.now_ns())
 
     def post(self, limits: SupervisedLimits, state: GuardNumbers, trips: int | None, times: SupervisedTimes) -> None:

@@ -56,6 +56,6 @@ class StopWitnesses:
         waiting = [each for each in self._witnesses.values() if now_ns - each.sent_ns >= _EVERY_NS]
         if not waiting:
             return None
-        witness = min(waiting, key=lambda each: each.sent_ns)
+        witness = min(waiting, key=lambda candidate: candidate.sent_ns)
         witness.sent_ns, self._has_served = now_ns, True
         return witness

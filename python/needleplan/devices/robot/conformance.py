@@ -42,7 +42,7 @@ class ConformanceVerdict(StrEnum):
 
 @dataclass(frozen=True)
 class ConformanceCase:
-    """A rule of the protocol, whether the robot keeps it, and what it did otherwise."""
+    """Result of one test: a rule of the protocol, the verdict, and what a robot did that breaks the rule."""
 
     name: str
     rule: str
@@ -51,12 +51,16 @@ class ConformanceCase:
 
 
 def try_cases(bench: RobotBench, only: Collection[str] = ()) -> Iterator[ConformanceCase]:
-    """Try all cases, or those named, and yield each outcome. At the end, go back, restore HOMED, note `rests`."""
+    """Try all cases, or those in `only`, and yield each outcome.
+
+    At the end, the robot moves back to the depth at the start, its HOMED is restored, and `bench.rests` tells whether
+    the needle rests.
+    """
     gave_up = ""
     for name, case in CASES.items():
         if only and name not in only:
             continue
-        rule, found = " ".join((case.__doc__ or "").split()), ""
+        rule, deviation = " ".join((case.__doc__ or "").split()), ""
         if gave_up or (name == "key" and bench.key is None):
             yield ConformanceCase(name, rule, ConformanceVerdict.OMITTED, gave_up or "the robot has no key")
             continue
@@ -64,13 +68,15 @@ def try_cases(bench: RobotBench, only: Collection[str] = ()) -> Iterator[Conform
             with bench.closing():
                 case(bench)
         except RobotAstray as astray:
-            found = gave_up = str(astray)
+            deviation = gave_up = str(astray)
         except DeviceFault as broken:
-            found = str(broken)
+            deviation = str(broken)
             with bench.closing():
                 if not bench.probe().is_released():
                     gave_up = "the robot gave no control for 6 s after a broken rule: the test was given up"
-        yield ConformanceCase(name, rule, ConformanceVerdict.BROKEN if found else ConformanceVerdict.HOLDS, found)
+        yield ConformanceCase(
+            name, rule, ConformanceVerdict.BROKEN if deviation else ConformanceVerdict.HOLDS, deviation
+        )
     bench.rests = False
     with bench.closing(), contextlib.suppress(DeviceFault):
         probe = bench.ready()
@@ -83,7 +89,7 @@ def try_cases(bench: RobotBench, only: Collection[str] = ()) -> Iterator[Conform
 
 
 def open_bench(address: str, may_move_mm: float) -> RobotBench:
-    """Return the bench of the robot at `udp://host[:5005][?key_file=path]`. Raises AddressError, and as RobotBench."""
+    """Return the bench of the robot at `udp://host[:5005][?key_file=path]`. Raises AddressError and DeviceFault."""
     parsed, (host, port) = robot_place(address, ("key_file",))
     key = read_key(parsed.options["key_file"]) if "key_file" in parsed.options else None
     return RobotBench(lambda: open_link(Address("udp", host, port)), may_move_mm, key)

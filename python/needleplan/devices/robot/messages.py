@@ -94,7 +94,7 @@ class MotionLimits:
         return f"{self.least_mm:g} to {self.most_mm:g} mm, {speeds}"
 
     def within(self, own: MotionLimits) -> MotionLimits | Result:
-        """Return these limits, completed by those of the robot (`own`); the cause if one is invalid or wider.
+        """Return these limits, completed by the limits of the robot (`own`); the cause if a limit is invalid or wider.
 
         A limit that is wider than that of the robot is refused, not reduced, so that the controller knows its limits.
         """

@@ -24,7 +24,7 @@ _MOST_PERMUTED = 7
 
 @dataclass(frozen=True)
 class Pairing:
-    """An order of the points of the plan, and whether one frame is mirrored, with its FRE (mm).
+    """An order of the points of the plan, with or without a mirrored frame, and its FRE (mm).
 
     `order[k]` is the index of the plan's point that belongs to point k of the tracker.
     """
@@ -74,17 +74,17 @@ def pairings(first_mm: Array, second_mm: Array) -> list[Pairing]:
     singular = np.linalg.svd(cross, compute_uv=False)
     sign = np.where(np.linalg.det(cross) < 0, -1.0, 1.0)
     whole = float((first**2).sum() + (second**2).sum())
-    found = []
+    choices = []
     for mirrored in (False, True):
         last = singular[:, 2] * (-sign if mirrored else sign)
         squares = whole - 2 * (singular[:, 0] + singular[:, 1] + last)
         fre = np.sqrt(np.maximum(squares, 0.0) / len(first))
-        found += [
-            Pairing(tuple(order), mirrored, each)
-            for order, each in zip(orders.tolist(), fre.tolist(), strict=True)
+        choices += [
+            Pairing(tuple(order), mirrored, fre_mm)
+            for order, fre_mm in zip(orders.tolist(), fre.tolist(), strict=True)
             if mirrored or order != list(range(len(first)))
         ]
-    return sorted(found, key=lambda pairing: pairing.fre_mm)
+    return sorted(choices, key=lambda pairing: pairing.fre_mm)
 
 
 def _orders(count: int) -> Iterator[tuple[int, ...]]:
@@ -110,7 +110,7 @@ def best_scale(first_mm: Array, second_mm: Array) -> tuple[float, float]:
 
 
 def quaternion_orders(quaternions: Array) -> dict[str, Array]:
-    """Return the z axes, shape (n, 3), that other readings of quaternions (n, 4) give, by their description."""
+    """Return the z axes, shape (n, 3), of quaternions, shape (n, 4), in other conventions, by description."""
     last, first = quaternions[:, [3, 0, 1, 2]], quaternions[:, [1, 2, 3, 0]]
     inverse = np.array([1.0, -1.0, -1.0, -1.0])
     return {

@@ -47,7 +47,7 @@ _FLAT = 0.02
 
 @dataclass(frozen=True)
 class CalibratedNeedle:
-    """Outcome of `calibrate_needle`: the calibration, what speaks against it, and remarks about the data."""
+    """Outcome of `calibrate_needle`: the calibration, the reasons against it, and remarks about the data."""
 
     pivot: Pivot
     refusals: tuple[Refusal, ...]
@@ -108,7 +108,7 @@ def calibrate_needle(
     columns : str or sequence of str, optional
         Columns of the file, see `read_poses`.
     accepted : str, optional
-        Reason of a person to accept what speaks against the calibration.
+        Reason for which a person accepts a refused calibration.
 
     Returns
     -------
@@ -149,7 +149,7 @@ def register_tracker(
     pivot_columns, points_columns : str or sequence of str, optional
         Columns of the files.
     accepted : str, optional
-        Reason of a person to accept what speaks against the registration.
+        Reason for which a person accepts a refused registration.
 
     Returns
     -------

@@ -62,7 +62,7 @@ def _frame_fits_points(frame: _Frame, point: tuple[_Point | None, ...]) -> Itera
 
     Also yields the mistakes of points that cannot be fitted. Does nothing if there is no point or a point is wrong.
     """
-    pairs = [(each.tracker_mm, each.plan_mm) for each in point if each]
+    pairs = [(pair.tracker_mm, pair.plan_mm) for pair in point if pair]
     if len(pairs) < max(len(point), 1):
         return
     tracker, plan = (np.array([pair[side] for pair in pairs]) for side in (0, 1))
@@ -183,7 +183,7 @@ class Registration:
         return both
 
     def accepted(self, reason: str) -> Registration:
-        """Return the registration as a person accepts it, who gives the reason; what speaks against it is kept.
+        """Return the registration with the status accepted, and the reason of a person; its refusals are kept.
 
         Raises DataError if the reason is blank.
         """
@@ -341,7 +341,7 @@ def _values(file: _RegistrationFile) -> dict[str, Any]:
         "coil_axis": file.coil.axis,
         "pivot_rms_mm": file.coil.rms_mm,
         "pivot_poses": file.coil.poses,
-        "points": tuple((each.tracker_mm, each.plan_mm) for each in file.point),
+        "points": tuple((pair.tracker_mm, pair.plan_mm) for pair in file.point),
         "parents": file.parent,
         "title": file.title,
         "made_by": file.made_by,
@@ -360,7 +360,7 @@ def _matrix(quaternion: Quaternion) -> tuple[Vector, Vector, Vector]:
 
 
 def _normalised(quaternion: Sequence[float]) -> Quaternion:
-    w, x, y, z = (each / math.hypot(*quaternion) for each in quaternion)
+    w, x, y, z = (component / math.hypot(*quaternion) for component in quaternion)
     return w, x, y, z
 
 

@@ -113,7 +113,7 @@ class RigidMotion:
 
 @dataclass(frozen=True)
 class Outlier:
-    """A pair of points that contradicts the other pairs: its index, its distance from the fit of the others, p-value.
+    """A pair of points that contradicts the other pairs: index, distance (mm) from the fit of the others, p-value.
 
     The p-value is the probability of such a distance for this pair alone.
     """
@@ -171,7 +171,7 @@ def register(
     mirrored_left = np.linalg.norm(mirrored.apply(-centred) - partners, axis=1)
     _, singular, axes = np.linalg.svd(centred, full_matrices=True)
     squares = singular**2 / len(first)
-    fre, mirrored_fre = (float(np.sqrt((each**2).mean())) for each in (distances, mirrored_left))
+    fre, mirrored_fre = (float(np.sqrt((lengths**2).mean())) for lengths in (distances, mirrored_left))
     return RigidMotion(
         rotation, translation, fre, distances, mirrored_fre, middle_first, squares.sum() - squares, axes
     )  # fmt: skip
@@ -209,7 +209,7 @@ def worst_pair(first_mm: Array, second_mm: Array) -> Outlier | None:
     whole = register(first_mm, second_mm)
     first, second = np.asarray(first_mm, float), np.asarray(second_mm, float)
     degrees = 3 * (whole.points - 1) - 6
-    found = []
+    outliers = []
     for number in range(whole.points if degrees > 0 else 0):
         others = np.arange(whole.points) != number
         try:
@@ -221,8 +221,8 @@ def worst_pair(first_mm: Array, second_mm: Array) -> Outlier | None:
         # Variance of the point itself, plus the variance of its prediction by the others.
         share = 1 + motion.tre_mm(first[number], 1.0) ** 2
         p_value = float(stats.f.sf(off**2 / (3 * share * variance), 3, degrees))
-        found.append(Outlier(number, off, p_value))
-    worst = min(found, key=lambda each: each.p_value, default=None)
+        outliers.append(Outlier(number, off, p_value))
+    worst = min(outliers, key=lambda outlier: outlier.p_value, default=None)
     return worst if worst and worst.p_value < _UNLIKELY / whole.points else None
 
 

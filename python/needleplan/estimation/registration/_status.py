@@ -37,7 +37,7 @@ def _accepted_with_reason(status: VerdictStatus, accepted: str) -> Iterator[Mist
 
 @dataclass(frozen=True)
 class RegistrationVerdict(ConfigTable, key="verdict", error=DataError, between=(_accepted_with_reason,)):
-    """Verdict on a registration: status, noise of the tracker it was judged with, and what speaks against it.
+    """Verdict on a registration: status, noise of the tracker in the judgement, and the reasons against it.
 
     `accepted` is the reason of the person who accepted it. `noise_mm` is 0 if the noise is unknown.
     """

@@ -58,7 +58,7 @@ _SAME_SCALE = 0.01
 
 
 class RefusalReason(StrEnum):
-    """What speaks against a registration."""
+    """Reason against a registration."""
 
     UNDETERMINED = "undetermined"
     """The poses do not determine the offset of the coil."""
@@ -193,30 +193,32 @@ def pivot_refusals(poses: Poses, pivot: Pivot, noise: PoseNoise | None) -> list[
         Empty if there is no reason.
 
     """
-    found = _unmeasured(poses)
+    refusals = _unmeasured(poses)
     extent = float(np.ptp(poses.positions_mm, axis=0).max()) if len(poses.lines) else math.nan
     farthest = float(np.abs(poses.positions_mm).max()) if len(poses.lines) else math.nan
     if farthest < _LEAST_EXTENT_MM:
         text = f"no pose is farther than {farthest:.3g} mm from the origin: metres?"
-        found.append(Refusal(RefusalReason.UNITS, text))
+        refusals.append(Refusal(RefusalReason.UNITS, text))
     elif farthest > _MOST_EXTENT_MM:
-        found.append(Refusal(RefusalReason.UNITS, f"poses are up to {farthest:.3g} mm from the origin: micrometres?"))
+        refusals.append(
+            Refusal(RefusalReason.UNITS, f"poses are up to {farthest:.3g} mm from the origin: micrometres?")
+        )
     if not pivot.ok:
         spread = f"{math.degrees(pivot.spread_rad):.2g} degrees"
         text = f"{pivot.status}: {pivot.poses} poses, directions spread by {spread}"
-        return [*found, Refusal(RefusalReason.UNDETERMINED, text)]
+        return [*refusals, Refusal(RefusalReason.UNDETERMINED, text)]
     offset = abs(float(pivot.tip_mm[0]))
     if offset > _MOST_OFFSET_MM:
         text = f"the coil would be {offset:.4g} mm from the tip, above {_MOST_OFFSET_MM:g} mm"
-        found.append(Refusal(RefusalReason.UNITS, text))
+        refusals.append(Refusal(RefusalReason.UNITS, text))
     for reading, axes in quaternion_orders(poses.quaternions).items():
         other = calibrate_axis(poses.positions_mm, axes)
         if other.ok and other.rms_mm < _BETTER_AXES * pivot.rms_mm and pivot.rms_mm > _floor_mm(noise):
             text = f"if {reading}, the residual is {other.rms_mm:.3g} mm instead of {pivot.rms_mm:.3g} mm, and "
             text += f"the coil {abs(float(other.tip_mm[0])):.3g} mm behind the tip instead of {offset:.3g} mm"
-            found.append(Refusal(RefusalReason.QUATERNION_ORDER, text))
+            refusals.append(Refusal(RefusalReason.QUATERNION_ORDER, text))
             break
-    return [*found, *_residual("the poses", pivot.rms_mm, noise, offset), *_noise_unknown(noise, extent)]
+    return [*refusals, *_residual("the poses", pivot.rms_mm, noise, offset), *_noise_unknown(noise, extent)]
 
 
 def points_refusals(
@@ -248,33 +250,33 @@ def points_refusals(
         Empty if there is no reason.
 
     """
-    found = []
+    refusals = []
     for frame, points in (("tracker", tracker_mm), ("plan", plan_mm)):
         extent = float(np.linalg.norm(np.ptp(points, axis=0)))
         if not _LEAST_EXTENT_MM < extent < _MOST_EXTENT_MM:
             unit = "metres" if extent < 1 else "micrometres"
             text = f"the points span {extent:.3g} mm in the frame of the {frame}: {unit}?"
-            found.append(Refusal(RefusalReason.UNITS, text))
+            refusals.append(Refusal(RefusalReason.UNITS, text))
     if motion.fre_mm > _floor_mm(noise):
         scale, scaled = best_scale(tracker_mm, plan_mm)
         if _BETTER * scaled < motion.fre_mm and abs(scale - 1) > _SAME_SCALE:
             text = f"lengths of the plan are {scale:.2g} times those of the tracker: with this scale the points fit to "
-            found.append(Refusal(RefusalReason.UNITS, f"{text}{scaled:.3g} mm instead of {motion.fre_mm:.3g} mm"))
+            refusals.append(Refusal(RefusalReason.UNITS, f"{text}{scaled:.3g} mm instead of {motion.fre_mm:.3g} mm"))
         best = pairings(tracker_mm, plan_mm)[0]
         if _BETTER * best.fre_mm < motion.fre_mm:
             text = f"{best.described(names)}: this fits to {best.fre_mm:.3g} mm instead of {motion.fre_mm:.3g} mm"
-            found.append(Refusal(RefusalReason.HANDEDNESS if best.given else RefusalReason.PAIRING, text))
-    return [*found, *_residual("the points (FLE)", motion.fle_mm, noise, offset_mm)]
+            refusals.append(Refusal(RefusalReason.HANDEDNESS if best.given else RefusalReason.PAIRING, text))
+    return [*refusals, *_residual("the points (FLE)", motion.fle_mm, noise, offset_mm)]
 
 
 def _unmeasured(poses: Poses) -> list[Refusal]:
     """Return refusals of poses that no tracker measured: the identity, and repetitions."""
-    found = []
+    refusals = []
     identity = ~poses.positions_mm.any(axis=1)
     if identity.any():
         text = f"{int(identity.sum())} of {len(poses.lines)} poses are at the origin, the first in line "
         text += f"{poses.lines[int(np.argmax(identity))]}: programs write the identity for a tool out of view; "
-        found.append(Refusal(RefusalReason.IDENTITY_POSES, f"{text}leave these rows empty"))
+        refusals.append(Refusal(RefusalReason.IDENTITY_POSES, f"{text}leave these rows empty"))
     rows = np.column_stack([poses.positions_mm, poses.quaternions])[~identity]
     lines = np.array(poses.lines)[~identity]
     _, first, counts = np.unique(rows, axis=0, return_index=True, return_counts=True)
@@ -282,8 +284,8 @@ def _unmeasured(poses: Poses) -> list[Refusal]:
     if repeated:
         line = int(lines[first[counts > 1]].min())
         text = f"{repeated} of {len(poses.lines)} poses repeat another one bit for bit, the first in line {line}"
-        found.append(Refusal(RefusalReason.REPEATED_POSES, text))
-    return found
+        refusals.append(Refusal(RefusalReason.REPEATED_POSES, text))
+    return refusals
 
 
 def _floor_mm(noise: PoseNoise | None) -> float:

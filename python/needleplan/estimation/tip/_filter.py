@@ -177,7 +177,7 @@ class TipFilter:
             if left_at is not None and left_at < self._at:
                 # The path beyond is new, and no pose has measured it.
                 self._at, self._state, self._covariance = self._path_at(left_at)
-                del self._past[bisect_right(self._past, self._at, key=lambda each: each[0]) :]
+                del self._past[bisect_right(self._past, self._at, key=lambda past: past[0]) :]
 
     def update(self, sample: PoseSample) -> PoseUse:
         """Take a pose, and return how the filter used it."""
@@ -257,7 +257,7 @@ class TipFilter:
     def ahead(self, length_mm: float) -> tuple[Array, Array]:
         """Return state and covariance that the tip will have after a further insertion without rotation.
 
-        The change of the curvature counts: with the length it fades as `change_mm` says. Shapes and errors as for
+        The change of the curvature per length is included; it decays over `change_mm`. Shapes and errors are those of
         `tip_state`.
         """
         if self._channel is None:
@@ -271,7 +271,7 @@ class TipFilter:
     def mean_curvature(self, length_mm: float) -> tuple[float, float]:
         """Return the expected mean curvature (1/mm) over the next length (mm) of path, and its standard deviation.
 
-        The plan counts with its curvature at the tip. Raises DataError before the first stage sample.
+        The planned curvature is that at the tip. Raises DataError before the first stage sample.
         """
         state, covariance = self.tip_state()
         weights = np.zeros(state.size)
@@ -363,7 +363,7 @@ class TipFilter:
         """
         at, state, covariance = self._at, self._state, self._covariance
         if length_mm < at:
-            number = max(bisect_right(self._past, length_mm, key=lambda each: each[0]) - 1, 0)
+            number = max(bisect_right(self._past, length_mm, key=lambda past: past[0]) - 1, 0)
             at, state, covariance = self._past[number]
         assert self._channel is not None
         return self._predictor.onwards(self._channel, at, state, covariance, length_mm)

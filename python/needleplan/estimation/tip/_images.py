@@ -60,7 +60,7 @@ class ImageFixes:
         return bool(innovation @ np.linalg.solve(spread, innovation) <= self._gate)
 
     def add(self, length_mm: float, place_mm: Array, beyond_mm: float) -> None:
-        """Keep a position at a path length; it is merged with a near one that is beyond the path length of the coil."""
+        """Keep a position at a path length. A near position ahead of the coil is merged with it."""
         number = bisect_right(self._fixes, length_mm, key=lambda fix: fix.length_mm)
         near = self._fixes[number - 1] if number else None
         if near is None or near.length_mm <= beyond_mm or length_mm - near.length_mm > _MERGED_MM / 2:

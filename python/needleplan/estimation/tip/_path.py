@@ -220,8 +220,8 @@ def mean_gained(length_mm: float, change_mm: float) -> float:
 def along(states: Array, piece: ChannelPiece, planned_per_mm: float, change_mm: float) -> Array:
     """Return the states, shape (n, 11), at the end of a piece of the path that begins at `states`.
 
-    The curvature of a piece is its mean. The result is exact for a constant roll, without a change of the ratio, for
-    any length.
+    The piece counts with its mean curvature. For a constant roll and a constant ratio of the curvature, the result is
+    exact for any length.
     """
     heading, elevation, factor, roll, change = (states[:, column] for column in _VARIED)
     mean = factor + change * mean_gained(piece.length_mm, change_mm)

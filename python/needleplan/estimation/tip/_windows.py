@@ -140,7 +140,7 @@ class FibreWindows:
         self._last = [None] * len(self._last)
 
     def read(self, sample: FibreSample, tip_mm: float, roll_rad: float) -> list[tuple[int, int]]:
-        """Take a sample at a path length of the tip and a roll of the base; return complete (sensor, window)s."""
+        """Take a sample at a path length and a roll of the base; return the keys (sensor, window) that it completes."""
         complete: list[tuple[int, int]] = []
         if sample.health is not Health.GOOD:
             return complete

@@ -143,7 +143,7 @@ class NeedleShaft:
 
 
 class AxialTerms(StrEnum):
-    """The first-order terms of the axial load in the beam equation.
+    """Choice of the first-order terms of the axial load in the beam equation.
 
     c = vf v is the friction per length. The equations below hold in the tissue; c and kf are zero outside.
     """
@@ -278,7 +278,7 @@ class Beam:
         finite.
         """
         depth, force, velocity, side, moment = np.broadcast_arrays(
-            *(np.asarray(each, float) for each in (depth_mm, cutting_force_n, velocity_mm_s, bevel, tip_moment_n_mm))
+            *(np.asarray(array, float) for array in (depth_mm, cutting_force_n, velocity_mm_s, bevel, tip_moment_n_mm))
         )
         _require(needle, depth, force, velocity)
         friction = tissue.friction_n_s_mm2 * velocity

@@ -47,8 +47,8 @@ def _banded(diagonal: Blocks, lower: Blocks, upper: Blocks, loads: Sequence[Arra
             bands[1 + row - column, :, 1:, column] = upper[row][column].T
     right = np.stack([load.T for load in loads], axis=-1).reshape(-1)
     solved = solve_banded((3, 3), bands.reshape(7, -1), right, overwrite_ab=True, overwrite_b=True, check_finite=False)
-    found = np.asarray(solved, float).reshape(systems, count, 2)
-    return found[:, :, 0].T, found[:, :, 1].T
+    unknowns = np.asarray(solved, float).reshape(systems, count, 2)
+    return unknowns[:, :, 0].T, unknowns[:, :, 1].T
 
 
 def _eliminated(diagonal: Blocks, lower: Blocks, upper: Blocks, loads: Sequence[Array]) -> tuple[Array, Array]:

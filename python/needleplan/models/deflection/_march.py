@@ -63,11 +63,11 @@ def march(
     """Insert a needle in steps of `step_mm` with a given force on the bevel face.
 
     `cutting_force_n`, shape (..., steps + 1), is Fc after 0, 1, ..., steps steps; the first value has no effect.
-    `velocity_mm_s` and `bevel` (+1 or -1; a change is a flip) broadcast to this shape. Let the force grow from zero: at
-    very small depths a force moves the tip of the unguided needle by millimetres. `anchoring` is mu, the share of the
-    tip's path that the tissue keeps; it counts as 0 for Foundation.ANCHORED. The error is of order step^2 if the force
-    grows with the square of the depth, and of order step if the force jumps. Raises ModelError for a step that is not
-    positive, fewer than two forces, or an `anchoring` outside of [0, 1].
+    `velocity_mm_s` and `bevel` (+1 or -1; a change is a flip) broadcast to this shape. The force should grow from zero,
+    because at very small depths a force moves the tip of the unguided needle by millimetres. `anchoring` is mu, the
+    share of the tip's path that the tissue keeps; it counts as 0 for Foundation.ANCHORED. The error is of order step^2
+    if the force grows with the square of the depth, and of order step if the force jumps. Raises ModelError for a step
+    that is not positive, fewer than two forces, or an `anchoring` outside of [0, 1].
     """
     force = np.atleast_1d(np.asarray(cutting_force_n, float))
     steps = force.shape[-1] - 1

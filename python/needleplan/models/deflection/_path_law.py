@@ -40,7 +40,7 @@ __all__ = ["FreePath", "circle_push_n", "flip_jump", "side_slip", "steady_radius
 
 @dataclass(frozen=True)
 class FreePath:
-    """State of the tip at one depth; `advanced` computes the state at the next depth, at constant cost.
+    """State of the path law at one depth. `advanced` returns the state at a larger depth.
 
     `push_n` is P at this depth. `once_n_mm` and `twice_n_mm2` are the first and second integral of P from the entry.
     """

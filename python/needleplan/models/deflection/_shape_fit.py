@@ -137,16 +137,18 @@ def fit_shape(
 
     bounds = np.array([(declared[name].lower, declared[name].upper) for name in free]).T / _SCALE_PER_MM
     first = np.array([start.values()[name] for name in free]) / _SCALE_PER_MM
-    found = least_squares(misses, first, bounds=(bounds[0], bounds[1]), x_scale=1.0, xtol=1e-12, ftol=1e-12, gtol=1e-12)
-    model = changed(found.x)
+    solution = least_squares(
+        misses, first, bounds=(bounds[0], bounds[1]), x_scale=1.0, xtol=1e-12, ftol=1e-12, gtol=1e-12
+    )
+    model = changed(solution.x)
     spare = int(counts.sum()) - len(free)
-    own = np.sqrt(2 * found.cost / spare) * _SCALE_PER_MM if spare else np.inf
-    spread = own if sd_per_mm is None else sd_per_mm
+    residual_sd = np.sqrt(2 * solution.cost / spare) * _SCALE_PER_MM if spare else np.inf
+    spread = residual_sd if sd_per_mm is None else sd_per_mm
     reach = float(stdtrit(max(spare, 1), 0.975) if sd_per_mm is None else ndtri(0.975))
-    slopes = np.asarray(found.jac)
+    slopes = np.asarray(solution.jac)
     covariance = np.linalg.pinv(slopes.T @ slopes)
     estimates = {}
-    for name, at_bound, variance in zip(free, found.active_mask, np.diag(covariance), strict=True):
+    for name, at_bound, variance in zip(free, solution.active_mask, np.diag(covariance), strict=True):
         value, sd = model.values()[name], float(spread * np.sqrt(variance))
         known = bool(not at_bound and sd < max(abs(value), _SCALE_PER_MM))
         estimates[name] = Estimate(value, sd, value - reach * sd, value + reach * sd, "1/mm", known)

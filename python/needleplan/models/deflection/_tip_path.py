@@ -144,10 +144,10 @@ class TipPath(SelfIntegratingModel):
         """Return the states, shape (2, samples), by Kutta's method in Python floats, ten times as fast as NumPy."""
         middle, lost, lam = motion.between(0.5), 1 - self.anchoring, self.decay_1_mm
         near, far = 2 * lam**2 * lost, 2 * lam * lost
-        speed, half = (np.where(each.depth_mm >= 0, each.velocity_mm_s, 0.0) for each in (motion, middle))
+        speed, half = (np.where(instant.depth_mm >= 0, instant.velocity_mm_s, 0.0) for instant in (motion, middle))
         ends, between = self.push_n(motion).tolist(), self.push_n(middle).tolist()
         v, vm, step = speed.tolist(), half.tolist(), motion.interval_s.tolist()
-        x, y = (float(each) for each in start)
+        x, y = (float(number) for number in start)
         states = [(x, y)]
         for k, h in enumerate(step):
             a1, b1 = v[k] * y, v[k] * (ends[k] - near * x - far * y)
@@ -171,8 +171,8 @@ class TipPath(SelfIntegratingModel):
         if self.tracked:
             curvature, behind = push / (self.bending * lam * self.depth_factor), np.minimum(self.tracked, depth)
             direction = unit * self.anchoring * (2 * lam * push + 2 * lam**2 * state[1])
-            beside = np.exp(-lam * behind) * np.sin(lam * behind) / (2 * lam**2)
-            tip = tip - behind * direction + curvature * (behind**2 / 2 + beside)
+            offset_mm = np.exp(-lam * behind) * np.sin(lam * behind) / (2 * lam**2)
+            tip = tip - behind * direction + curvature * (behind**2 / 2 + offset_mm)
         return np.asarray(self.offset + self.slope * (depth - self.tracked) + tip)
 
 

@@ -39,15 +39,21 @@ class AddedEffect:
 
     def __post_init__(self) -> None:
         effect = effect_named(self.name)
-        what = effect.parameters
-        mistakes = [Mistake(key, "", f"is not a parameter of {self.name}") for key in self.values if key not in what]
-        mistakes += [
-            Mistake(key, "", "is missing") for key, each in what.items() if each.free and key not in self.values
+        parameters = effect.parameters
+        mistakes = [
+            Mistake(key, "", f"is not a parameter of {self.name}") for key in self.values if key not in parameters
         ]
-        values = {key: what[key].in_range(value) if isinstance(value, int | float) else None
-                  for key, value in self.values.items() if key in what}  # fmt: skip
         mistakes += [
-            Mistake(key, f"{self.values[key]}", what[key].range_rule()) for key, near in values.items() if near is None
+            Mistake(key, "", "is missing")
+            for key, parameter in parameters.items()
+            if parameter.free and key not in self.values
+        ]
+        values = {key: parameters[key].in_range(value) if isinstance(value, int | float) else None
+                  for key, value in self.values.items() if key in parameters}  # fmt: skip
+        mistakes += [
+            Mistake(key, f"{self.values[key]}", parameters[key].range_rule())
+            for key, near in values.items()
+            if near is None
         ]
         if mistakes:
             raise ModelError(mistakes, f"effect {self.name}")
@@ -76,17 +82,17 @@ class AugmentedModel(SelfIntegratingModel):
 
     @cached_property
     def whole(self) -> Model:
-        """The base model with all effects applied whose amplitude is not 0."""
+        """The base model with all effects of an amplitude other than 0."""
         model = self.base
-        for effect in sorted(self.effects, key=lambda each: effect_named(each.name).is_lag):
+        for effect in sorted(self.effects, key=lambda added: effect_named(added.name).is_lag):
             model = effect_named(effect.name).apply(model, effect.values) if effect.values[SIZE] else model
         return model
 
     @cached_property
     def plant(self) -> Model:
         """The model without the effects of the sensor, which gives the true quantity instead of the measured one."""
-        own = tuple(effect for effect in self.effects if effect_named(effect.name).enters is not Enters.SENSOR)
-        return AugmentedModel(self.base, own) if own else self.base
+        remaining = tuple(effect for effect in self.effects if effect_named(effect.name).enters is not Enters.SENSOR)
+        return AugmentedModel(self.base, remaining) if remaining else self.base
 
     def initial_state(self, motion: Motion) -> Array:
         """Return the state at rest, shape (n,)."""

@@ -143,20 +143,20 @@ class Effect(ABC):
         return []
 
     def columns(self, model: Model, motion: Motion, grid: Sequence[Mapping[str, float]]) -> Array:
-        """Return the sensitivity of the output to the amplitude at every point of the grid, shape (samples, len(grid)).
+        """Return the derivative of the output by the amplitude at each point of the grid, shape (samples, len(grid)).
 
         For an output of the shape (axes, samples) the rows of the axes follow one another: (axes * samples, len(grid)).
-        Default: the difference quotient of two simulations, with and without the effect. The effect has the amplitude
-        of the grid point or, if the point has none, a thousandth of the typical amplitude.
+        Default: difference quotient of two simulations, with and without the effect. The amplitude is that of the grid
+        point, or else a thousandth of the typical amplitude.
         """
         plain = output_from_rest(model, motion)
         small = 1e-3 * self.parameters[SIZE].typical
-        found = np.empty((plain.size, len(grid)))
+        columns = np.empty((plain.size, len(grid)))
         for index, values in enumerate(grid):
             step = values.get(SIZE, small)
             gained = output_from_rest(self.apply(model, {**values, SIZE: step}), motion) - plain
-            found[:, index] = gained.ravel() / step
-        return found
+            columns[:, index] = gained.ravel() / step
+        return columns
 
 
 def effect_columns(effect: Effect, model: Model, motion: Motion, grid: Sequence[Mapping[str, float]]) -> Array:
@@ -178,9 +178,9 @@ def effect_columns(effect: Effect, model: Model, motion: Motion, grid: Sequence[
     """
     if not isinstance(motion, AveragedMotion):
         return effect.columns(model, motion, grid)
-    found = effect.columns(model, motion.fine, grid).T
-    axes = found.shape[1] // len(motion.fine)
-    means = motion.mean(np.ascontiguousarray(found).reshape(len(grid), axes, len(motion.fine)))
+    columns = effect.columns(model, motion.fine, grid).T
+    axes = columns.shape[1] // len(motion.fine)
+    means = motion.mean(np.ascontiguousarray(columns).reshape(len(grid), axes, len(motion.fine)))
     return np.ascontiguousarray(means.reshape(len(grid), -1).T)
 
 
@@ -261,19 +261,19 @@ class WithTerm(SelfIntegratingModel):
 
     def derivative(self, state: Array, motion: Motion) -> Array:
         """Return the rates of change of both states, shape (n + k, ...)."""
-        own, memory = self._split(state)
-        return np.concatenate([self.base.derivative(own, motion), self.term.rate(memory, motion)])
+        base_state, memory = self._split(state)
+        return np.concatenate([self.base.derivative(base_state, motion), self.term.rate(memory, motion)])
 
     def output(self, state: Array, motion: Motion) -> Array:
         """Return the sum of the base output and the term; the base output itself if the amplitude is 0."""
-        own, memory = self._split(state)
-        plain = self.base.output(own, motion)
+        base_state, memory = self._split(state)
+        plain = self.base.output(base_state, motion)
         return np.asarray(plain + self.term.size * self.term.shape(memory, motion, plain)) if self.term.size else plain
 
     def integrate(self, motion: Motion, start: Array) -> Array:
         """Return the states of model (n) and term (k) at every sample, shape (n + k, samples)."""
-        own, memory = self._split(start)
-        return np.concatenate([simulate(self.base, motion, own).states, self.term.states(motion, memory)])
+        base_state, memory = self._split(start)
+        return np.concatenate([simulate(self.base, motion, base_state).states, self.term.states(motion, memory)])
 
     def output_from_rest(self, motion: Motion) -> Array:
         """Return the output along a motion that starts at rest, shape (samples,)."""

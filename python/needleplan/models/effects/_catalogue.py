@@ -35,15 +35,15 @@ def respiration_grid(reach: Reach) -> list[dict[str, float]]:
     needle relative to the tissue while the needle advances.
     """
     slowest = max(reach.speed_mm_s[0], 1e-2)
-    found = []
+    points = []
     for frequency_hz in np.arange(0.12, 0.5, 0.03):
         turning = slowest / (_STEEPEST * 2 * np.pi * frequency_hz)
         sizes = [0.02, 0.1, *(min(share * turning, 30.0) for share in (1.15, 1.8, 3.5))]
-        found += [
+        points += [
             {"frequency_hz": frequency_hz, "phase_rad": phase, "rest": 1.0, SIZE: size}
             for phase, size in product(np.arange(6) * np.pi / 3, sizes)
         ]
-    return found
+    return points
 
 
 # Largest velocity of a breathing motion, as a share of amplitude times angular frequency.
@@ -62,7 +62,7 @@ def other_breaths(values: Mapping[str, float], reach: Reach, scale: float) -> li
     middle = np.pi * reach.duration_s
     reached = (-2, -1, 0, 1, 2) if scale == 1 else (-1, 0, 1)
     steps = product((0.5, 1.0, 2.0), reached, reached)
-    found = [
+    points = [
         {
             **values,
             SIZE: values[SIZE] * share**scale,
@@ -72,7 +72,7 @@ def other_breaths(values: Mapping[str, float], reach: Reach, scale: float) -> li
         for share, later, faster in steps
     ]
     dwells = product((-1.0, 0.0), np.arange(6) * np.pi / 3) if scale == 1 else ()
-    return found + [{**values, "rest": rest, "phase_rad": begin + later} for rest, later in dwells]
+    return points + [{**values, "rest": rest, "phase_rad": begin + later} for rest, later in dwells]
 
 
 # Shares of the step by which places are tried, in both directions, and factors of widths.

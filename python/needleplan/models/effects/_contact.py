@@ -39,7 +39,7 @@ class GuideFriction(PathTerm):
     size: float = parameter("N", 0, 20, "friction in the guide", typical=0.05)
 
     def shape(self, state: Array, motion: Motion, plain: Array) -> Array:  # noqa: ARG002
-        """Return the bristle, which gives the sign."""
+        """Return the bristle z, shape (...): the sign of the movement, after some presliding."""
         return np.asarray(state[0] * np.ones_like(np.asarray(motion.depth_mm, float)))
 
 
@@ -76,8 +76,8 @@ class EntrySpring(Memoryless):
 class TrackAgeing(PathTerm):
     """Friction that falls with the number of insertions along the same track.
 
-    The internal state also contains how often the tip has passed every cell of the track inwards. Of n passes, n - 1
-    are earlier insertions.
+    The internal state also contains how often the tip has passed every cell of the track inwards. The last of n passes
+    is the present insertion, so n - 1 insertions were earlier.
     """
 
     name: ClassVar[str] = "track_ageing"

@@ -68,7 +68,7 @@ class _Described(Effect):
         axes = self.looked_for(reach)
         if not isinstance(axes, Mapping):
             return [dict(axis) for axis in axes]
-        return [dict(zip(axes, map(float, each), strict=True)) for each in product(*axes.values())]
+        return [dict(zip(axes, map(float, point), strict=True)) for point in product(*axes.values())]
 
     def nearby(self, values: Mapping[str, float], reach: Reach, scale: float) -> list[dict[str, float]]:
         """Return further start values of a fit, clipped to the ranges of the parameters."""
@@ -88,7 +88,7 @@ class TermEffect(_Described):
     @property
     def parameters(self) -> Mapping[str, Parameter]:  # type: ignore[override]
         """Amplitude, and parameters for place, time or rate."""
-        return {name: what for name, what in self.term.parameters().items() if what.free}
+        return {name: parameter for name, parameter in self.term.parameters().items() if parameter.free}
 
     def apply(self, model: Model, values: Mapping[str, float]) -> Model:
         """Return the model with the term; the model itself if the amplitude is 0."""
@@ -101,17 +101,17 @@ class TermEffect(_Described):
         """
         plain = simulate(model, motion).output
         states: dict[tuple[float, ...], Array] = {}
-        found = np.empty((len(motion), len(grid)))
+        columns = np.empty((len(motion), len(grid)))
         for index, values in enumerate(grid):
             term = self._term(model, {**values, SIZE: 1.0})
             key = tuple(values[name] for name in _STATE_PARAMETERS.get(self.name, ()))
             if key not in states:
                 states[key] = term.states(motion, term.initial(motion))
-            found[:, index] = term.shape(states[key], motion, plain)
-        return found
+            columns[:, index] = term.shape(states[key], motion, plain)
+        return columns
 
     def _term(self, model: Model, values: Mapping[str, float]) -> Term:
-        constants = (name for name, what in self.term.parameters().items() if not what.free)
+        constants = (name for name, parameter in self.term.parameters().items() if not parameter.free)
         known = {name: _of_base(model, name) for name in constants}
         return self.term(**{name: value for name, value in known.items() if value is not None}, **values)
 
@@ -154,11 +154,11 @@ class WrapEffect(_Described):
         if not (
             self.wrapper is BreathingTissue
             and isinstance(model, ShaftAndTip)
-            and all(each.keys() == names and each[SIZE] for each in grid)
+            and all(point.keys() == names and point[SIZE] for point in grid)
         ):
             return super().columns(model, motion, grid)
         gained = breathing_forces(model, motion, grid) - simulate(model, motion).output
-        return np.asarray((gained / np.array([[each[SIZE]] for each in grid])).T)
+        return np.asarray((gained / np.array([[point[SIZE]] for point in grid])).T)
 
     def _is_behind(self, model: Model) -> bool:
         """Return whether `model` is a drive in whose motion of the needle this effect acts."""
@@ -170,7 +170,7 @@ class WrapEffect(_Described):
         Raises ModelError if there is no suitable model inside.
         """
         if not self.suits(model):
-            wanted = " or ".join(each.name for each in self.beside)
+            wanted = " or ".join(kind.name for kind in self.beside)
             raise ModelError(Mistake("effect", self.name, f"can be added to {wanted} only"), type(model).__name__)
         inner: Any = model
         whole: Model = dataclasses.replace(inner, base=self.apply(inner.base, values))

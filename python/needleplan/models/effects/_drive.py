@@ -50,7 +50,10 @@ _STICKS_S = 0.05
 
 @dataclass(frozen=True, kw_only=True)
 class WithDrive(SelfIntegratingModel):
-    """Abstract base class of a model whose needle is behind the motor by p; one number of memory follows its state."""
+    """Abstract base class of a model whose needle lags behind the motor by p (mm).
+
+    The last number of the state is the memory of the drive.
+    """
 
     base: Model
 
@@ -110,7 +113,7 @@ class WithDrive(SelfIntegratingModel):
 
 @dataclass(frozen=True, kw_only=True)
 class LooseDrive(WithDrive):
-    """A model behind a drive with play; the memory is p."""
+    """A model that is driven through play (backlash); the memory of the drive is the lag p (mm)."""
 
     size: float = parameter("mm", 0, 10, "play of the drive", typical=0.1)
 
@@ -139,7 +142,7 @@ class LooseDrive(WithDrive):
 
 @dataclass(frozen=True, kw_only=True)
 class StickingDrive(WithDrive):
-    """A model behind a drive that sticks after a rest; the memory is s."""
+    """A model behind a drive that sticks after a rest; its memory is the travel s (mm) since the rest or reversal."""
 
     size: float = parameter("mm", 0, 10, "largest distance by which the needle falls behind", typical=0.1)
 
@@ -211,7 +214,7 @@ def _played(
                 nodes.append((at, 0.0, behind))
                 nodes += [(at + _JUMP_S, speed, behind), (until, b, behind)]
         index.append(len(nodes) - 1)
-    times, speeds, places = (np.array(each) for each in zip(*nodes, strict=True))
+    times, speeds, places = (np.array(array) for array in zip(*nodes, strict=True))
     indices = np.array(index, np.intp)
     for each in (times, speeds, places, indices):
         each.flags.writeable = False
@@ -225,10 +228,10 @@ def _travels(velocity_mm_s: bytes, time_s: bytes, start: float) -> Array:
     steps = (np.abs(velocity[1:] + velocity[:-1]) / 2 * np.diff(time)).tolist()
     turns = (velocity[1:] * velocity[:-1] < 0).tolist()
     rests = (np.abs(velocity[1:]) < _REST_MM_S).tolist()
-    travel, found = start, [start]
+    travel, reached = start, [start]
     for step, turn, rest in zip(steps, turns, rests, strict=True):
         travel = 0.0 if rest else step if turn else travel + step
-        found.append(travel)
-    travels = np.array(found)
+        reached.append(travel)
+    travels = np.array(reached)
     travels.flags.writeable = False
     return travels

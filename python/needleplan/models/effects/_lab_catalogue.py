@@ -152,4 +152,4 @@ LAB_EFFECTS: tuple[LabEffect, ...] = (
 
 def lab_key(key: str) -> LabKey:
     """Return the declaration of a key of the table `[effects]`."""
-    return next(each.keys[key] for each in LAB_EFFECTS if key in each.keys)
+    return next(effect.keys[key] for effect in LAB_EFFECTS if key in effect.keys)

@@ -23,8 +23,8 @@ USUAL_MM_S = 5.0
 def speed_factor(speed_mm_s: Any, size: Any, power: float = 1.0) -> Any:
     """Return the curvature at a speed (>= 0), as a multiple of the curvature at 5 mm/s.
 
-    `size` is the slope at 5 mm/s, in shares for each 5 mm/s. With `size` equal to `power`, the factor is
-    (speed / 5 mm/s)^power.
+    `size` is the relative change of the curvature per 5 mm/s of speed, at 5 mm/s. If `size` equals `power`, the factor
+    is (speed / 5 mm/s)^power.
     """
     return 1 + size * ((speed_mm_s / USUAL_MM_S) ** power - 1) / power
 

@@ -98,9 +98,9 @@ class Inertia(Term):
         return np.asarray((np.asarray(motion.velocity_mm_s, float) - state) / _DIFFERENCE_S)
 
     def states(self, motion: Motion, start: Array) -> Array:
-        """Return the state whose output is the acceleration of the motion (mm/s), shape (1, samples).
+        """Return the state (mm/s), shape (1, samples), for which `shape` is the acceleration of the motion.
 
-        The future is known, so that nothing lags. The first state is `start`.
+        The whole motion is known, so the acceleration has no lag. The first state is `start`.
         """
         states: Array = (motion.velocity_mm_s - _DIFFERENCE_S * motion.acceleration_mm_s2)[None]
         states[:, 0] = start
@@ -144,15 +144,15 @@ class Lagging(SelfIntegratingModel):
 
     def initial_state(self, motion: Motion) -> Array:
         """Return the state of the base at rest, followed by 256 copies of its output, shape (n + 256,)."""
-        own = self.base.initial_state(motion)
+        base_state = self.base.initial_state(motion)
         first = motion[0] if np.ndim(motion.depth_mm) else motion
-        return np.append(own, np.full(_STAGES, float(self.base.output(own, first))))
+        return np.append(base_state, np.full(_STAGES, float(self.base.output(base_state, first))))
 
     def derivative(self, state: Array, motion: Motion) -> Array:
         """Return the rates of change of the state of the base and of the stages, shape (n + 256, ...)."""
-        own, stages = state[:-_STAGES], state[-_STAGES:]
-        before = np.concatenate([self.base.output(own, motion)[None], stages[:-1]])
-        return np.concatenate([self.base.derivative(own, motion), (before - stages) / self._lag_s])
+        base_state, stages = state[:-_STAGES], state[-_STAGES:]
+        before = np.concatenate([self.base.output(base_state, motion)[None], stages[:-1]])
+        return np.concatenate([self.base.derivative(base_state, motion), (before - stages) / self._lag_s])
 
     def output(self, state: Array, motion: Motion) -> Array:
         """Return the delayed output; the output of the base model if the amplitude is 0."""
@@ -166,10 +166,10 @@ class Lagging(SelfIntegratingModel):
         """
         states = simulate(self.base, motion, start[:-_STAGES]).states
         force = np.asarray(self.base.output(states, motion), float)
-        found = np.empty((len(start), len(motion)))
-        found[:-_STAGES] = states
-        _pass(force, motion.time_s, start[-_STAGES:], self._lag_s, found[-_STAGES:])
-        return found
+        outputs = np.empty((len(start), len(motion)))
+        outputs[:-_STAGES] = states
+        _pass(force, motion.time_s, start[-_STAGES:], self._lag_s, outputs[-_STAGES:])
+        return outputs
 
     def output_from_rest(self, motion: Motion) -> Array:
         """Return the delayed output along a motion that starts at rest, shape (samples,).
@@ -179,18 +179,18 @@ class Lagging(SelfIntegratingModel):
         """
         force = output_from_rest(self.base, motion)
         times = np.asarray(motion.time_s, float)
-        found = np.zeros(len(times))
+        delayed = np.zeros(len(times))
         for delay in (self._lag_s * _DELAYS).tolist():
-            found += np.interp(times - delay, times, force)
-        return found / len(_DELAYS)
+            delayed += np.interp(times - delay, times, force)
+        return delayed / len(_DELAYS)
 
     @property
     def _lag_s(self) -> float:
         return max(self.size / _STAGES, _SHORTEST_S)
 
 
-def _pass(force: Array, time_s: Array, start: Array, lag_s: float, found: Array) -> None:
-    """Compute the outputs of all stages for the input `force` and write them into `found`, shape (stages, samples).
+def _pass(force: Array, time_s: Array, start: Array, lag_s: float, outputs: Array) -> None:
+    """Compute the outputs of all stages for the input `force` and write them into `outputs`, shape (stages, samples).
 
     `start`, shape (stages,), holds the outputs at the first sample.
     """
@@ -202,7 +202,7 @@ def _pass(force: Array, time_s: Array, start: Array, lag_s: float, found: Array)
         _pass(np.interp(even, time_s, force), even, start, lag_s, stages)
         at = (time_s - even[0]) / (even[1] - even[0])
         left = np.minimum(at.astype(int), len(even) - 2)
-        found[:] = stages[:, left] + (at - left) * (stages[:, left + 1] - stages[:, left])
+        outputs[:] = stages[:, left] + (at - left) * (stages[:, left + 1] - stages[:, left])
         return
     count = min(int(np.ceil(gammaincinv(_STAGES, 1 - _FORGOTTEN) * lag_s / h)) + 2, len(force) + 1)
     # Ramp response of the stages; the second differences of a piecewise linear force weight it.
@@ -212,11 +212,11 @@ def _pass(force: Array, time_s: Array, start: Array, lag_s: float, found: Array)
     weights = np.diff(np.vstack([np.zeros(_STAGES), ramp]), 2, axis=0)
     before = np.concatenate([np.full(count - 2, force[0]), force])
     rows = np.array([before[count - 2 - past : len(before) - past] for past in range(count - 1)])
-    np.matmul(np.ascontiguousarray(weights.T), rows, out=found)
+    np.matmul(np.ascontiguousarray(weights.T), rows, out=outputs)
     other = start - force[0]
     if other.any():  # the stages do not start in the steady state of the first force
         passed = np.arange(_STAGES)
         for index in range(min(count, len(force))):
             its = index * h / lag_s
             share = np.exp(xlogy(passed, its) - its - gammaln(passed + 1))
-            found[:, index] += np.convolve(other, share)[:_STAGES]
+            outputs[:, index] += np.convolve(other, share)[:_STAGES]

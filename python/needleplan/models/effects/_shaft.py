@@ -274,12 +274,12 @@ class Puncture(PathTerm):
         depth = np.asarray(motion.depth_mm)
         before = np.exp(np.minimum((depth - self.depth_mm) / self.bulge_mm, 0.0))
         broken = np.exp(-np.maximum(state[1] - self.depth_mm, 0.0) / self.release_mm)
-        found = np.asarray(before * broken)
+        force = np.asarray(before * broken)
         if isinstance(motion, SpannedMotion):
             fresh = (motion.span_mm > 0) & (depth >= state[1])
             place, half = depth[fresh] - self.depth_mm, motion.span_mm[fresh] / 2
-            found[fresh] = (self._work(place + half) - self._work(place - half)) / (2 * half)
-        return np.asarray(found * _pushed(state))
+            force[fresh] = (self._work(place + half) - self._work(place - half)) / (2 * half)
+        return np.asarray(force * _pushed(state))
 
     def _work(self, place_mm: Array) -> Array:
         """Return the integral (mm) of the shape in fresh tissue up to depths that are measured from the membrane."""

@@ -149,7 +149,7 @@ class TwistedNeedle(Altered):
         base = self.base.rolls(motion, start_rad)
         lag = self.size * np.maximum(motion.depth_mm, 0.0)
         pairs = zip(base[1:].tolist(), lag[1:].tolist(), strict=True)
-        return np.array(list(accumulate(pairs, lambda roll, each: dragged(roll, *each), initial=start_rad)))
+        return np.array(list(accumulate(pairs, lambda roll, pair: dragged(roll, *pair), initial=start_rad)))
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -127,16 +127,16 @@ def known_effects() -> dict[str, Effect]:
 
     Raises ModelError if a plug-in is not an `Effect` with the parameter `size`, or has the name of another effect.
     """
-    found = {each.name: each for each in (*FORCE_EFFECTS, *FURTHER_FORCE_EFFECTS, *TIP_EFFECTS)}
+    effects = {each.name: each for each in (*FORCE_EFFECTS, *FURTHER_FORCE_EFFECTS, *TIP_EFFECTS)}
     for point in metadata.entry_points(group=GROUP):
         made = point.load()
         effect = made() if isinstance(made, type) else made
         if not isinstance(effect, Effect) or SIZE not in effect.parameters:
             raise ModelError(Mistake(point.name, str(made), f"must be an Effect with a parameter {SIZE}"), GROUP)
-        if effect.name in found:
+        if effect.name in effects:
             raise ModelError(Mistake(point.name, effect.name, "is the name of another effect"), GROUP)
-        found[effect.name] = effect
-    return found
+        effects[effect.name] = effect
+    return effects
 
 
 def register_file(path: str) -> Effect:
@@ -146,26 +146,26 @@ def register_file(path: str) -> Effect:
     if the file cannot be read or executed, or if `EFFECT` is missing, lacks the parameter `size`, has the name of
     another effect, or does not allow the amplitude 0.
     """
-    found: list[Mistake] = []
+    mistakes: list[Mistake] = []
     try:
         made = runpy.run_path(path).get("EFFECT")
         effect = made() if isinstance(made, type) else made
         if not isinstance(effect, Effect) or SIZE not in effect.parameters:
-            found.append(Mistake("EFFECT", "", f"must be defined as an Effect with a parameter {SIZE}"))
+            mistakes.append(Mistake("EFFECT", "", f"must be defined as an Effect with a parameter {SIZE}"))
         elif effect.name in known_effects() and known_effects()[effect.name] is not effect:
-            found.append(Mistake("EFFECT", effect.name, "is the name of another effect"))
+            mistakes.append(Mistake("EFFECT", effect.name, "is the name of another effect"))
         elif effect.parameters[SIZE].scale is not Scale.LINEAR:
             rule = f"its {SIZE} must allow 0: declare {SIZE} with a typical value"
-            found.append(Mistake("EFFECT", effect.name, rule))
+            mistakes.append(Mistake("EFFECT", effect.name, rule))
         else:
             known_effects()[effect.name] = effect
             return effect
     except OSError as error:
-        found.append(Mistake("", "", f"cannot be read: {error.strerror}"))
+        mistakes.append(Mistake("", "", f"cannot be read: {error.strerror}"))
     except (Exception, SystemExit) as error:  # the file may raise anything
         line = f"{type(error).__name__}: {error}"
         raise ModelError(Mistake("EFFECT", "", f"cannot be created: {line}"), path) from error
-    raise ModelError(found, path)
+    raise ModelError(mistakes, path)
 
 
 def effects_of(channel: Channel, *, further: bool = False) -> tuple[Effect, ...]:

@@ -24,7 +24,7 @@ _AT_ONCE = 16
 
 @dataclass(frozen=True, kw_only=True)
 class SlowTurning(SelfIntegratingModel):
-    """A model whose friction reverses over a travel that is longer by `size` (mm), with the state of the base model."""
+    """The base model with friction that reverses over a travel that is longer by `size` (mm). Its state is the same."""
 
     base: ShaftAndTip
     size: float = parameter("mm", 0, 20, "additional travel over which friction reverses", typical=0.1)
@@ -118,11 +118,11 @@ class GivingTissue(SelfIntegratingModel):
         velocity, time = np.asarray(motion.velocity_mm_s, float), np.asarray(motion.time_s, float)
         sizes = self.largest_mm(motion)
         given = self.lag_s, inner.presliding_mm, float(start[0]), float(start[1])
-        found = _dragged(velocity.tobytes(), time.tobytes(), sizes.tobytes(), *given)
+        dragged = _dragged(velocity.tobytes(), time.tobytes(), sizes.tobytes(), *given)
         if not isinstance(inner, BlendedReversal):
-            return found
-        sliding = replace(motion, velocity_mm_s=velocity - (sizes * found[0] - found[1]) / self.lag_s)
-        return np.vstack([found[0] + inner.deviation(sliding), found[1]])
+            return dragged
+        sliding = replace(motion, velocity_mm_s=velocity - (sizes * dragged[0] - dragged[1]) / self.lag_s)
+        return np.vstack([dragged[0] + inner.deviation(sliding), dragged[1]])
 
 
 @lru_cache(maxsize=64)
@@ -142,7 +142,7 @@ def _dragged(
 
     Each step uses the trapezoidal rule for the tissue.
     """
-    velocity, time, largest = (np.frombuffer(each) for each in (velocity_mm_s, time_s, largest_mm))
+    velocity, time, largest = (np.frombuffer(data) for data in (velocity_mm_s, time_s, largest_mm))
     states: Array = _ppvi.dragged(velocity, time, largest, lag_s, presliding_mm, (bristle, moved))
     states.flags.writeable = False
     return states
@@ -219,7 +219,7 @@ def breathing_forces(base: ShaftAndTip, motion: Motion, breaths: Sequence[Mappin
     Each entry of `breaths` holds all parameters of `BreathingTissue` by name. The forces equal those of
     `BreathingTissue`; several motions are computed at once, which is faster.
     """
-    found = np.empty((len(breaths), len(motion)))
+    forces = np.empty((len(breaths), len(motion)))
     sizes = np.array([[breath["size"]] for breath in breaths])
     rows = np.array([[breath[name] for name in ("frequency_hz", "phase_rad", "rest")] for breath in breaths])
     kinds, which = np.unique(rows, axis=0, return_inverse=True)  # many entries differ in their amplitude only
@@ -230,5 +230,5 @@ def breathing_forces(base: ShaftAndTip, motion: Motion, breaths: Sequence[Mappin
         depth, velocity = motion.depth_mm - size * moved[kind], motion.velocity_mm_s - size * speed[kind]
         bristle = slid_along(velocity, motion.time_s, base.presliding_mm)
         along = Motion(motion.time_s, depth, velocity, np.sign(velocity), motion.angle_rad)
-        found[part] = base.output(bristle[None], along)
-    return found
+        forces[part] = base.output(bristle[None], along)
+    return forces

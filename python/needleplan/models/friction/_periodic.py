@@ -33,7 +33,7 @@ def steady(record: Record, skip_cycles: int = 1, phases: Sequence[str] = ()) -> 
     if unknown:
         known = ", ".join(sorted(set(record.phase)))
         rule = f"must be one of {known}" if known else "must not be given, because the trial has no phases"
-        raise DataError([Mistake("phase", each, rule) for each in unknown], record.trial)
+        raise DataError([Mistake("phase", phase, rule) for phase in unknown], record.trial)
     chosen = np.asarray(cycles(record.motion()) >= skip_cycles)
     if phases:
         chosen = chosen & np.isin(np.asarray(record.phase), list(phases))

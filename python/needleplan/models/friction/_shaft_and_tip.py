@@ -55,9 +55,9 @@ def _slid(velocity_mm_s: bytes, time_s: bytes, length_mm: float, start: float) -
 
     Velocities and times are byte strings, so that the result can be cached: a fit repeats the same motion and length.
     """
-    found: Array = _ppvi.slid(np.frombuffer(velocity_mm_s)[None], np.frombuffer(time_s), [length_mm], start)[0]
-    found.flags.writeable = False
-    return found
+    bristle: Array = _ppvi.slid(np.frombuffer(velocity_mm_s)[None], np.frombuffer(time_s), [length_mm], start)[0]
+    bristle.flags.writeable = False
+    return bristle
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -153,7 +153,7 @@ def _grown(depth_mm: bytes, onset_mm: float) -> Array:
 
 @dataclass(frozen=True, kw_only=True)
 class BlendedReversal(ShaftAndTip):
-    """The model with another law of reversal: its bristle deviates by a blend of bristles of other lengths."""
+    """A `ShaftAndTip` with another law of reversal: the bristle is blended with bristles of other lengths."""
 
     name: ClassVar[str] = "blended_reversal"
     shares: tuple[float, ...] = ()
@@ -194,8 +194,8 @@ class BlendedReversal(ShaftAndTip):
         """
         if isinstance(motion, AveragedMotion):  # the mean of the blend costs less than a blend of 15 means
             return motion.mean(self.deviation(motion.fine))
-        found = np.asarray(np.array(self.weights) @ self.others(motion))
-        return found + self.closed * self.closing(motion) if self.closed else found
+        blended = np.asarray(np.array(self.weights) @ self.others(motion))
+        return blended + self.closed * self.closing(motion) if self.closed else blended
 
     def integrate(self, motion: Motion, start: Array) -> Array:
         """Return the blended bristle along a motion, shape (1, samples)."""
@@ -207,9 +207,9 @@ def _others(velocity_mm_s: bytes, time_s: bytes, length_mm: float, shares: tuple
     """Return the difference of bristles of other lengths and the bristle of `length_mm`, shape (shares, samples)."""
     lengths = [length_mm, *(share * length_mm for share in shares)]
     plain, *others = _ppvi.slid(np.frombuffer(velocity_mm_s)[None], np.frombuffer(time_s), lengths, 0.0)
-    found: Array = np.array(others) - plain
-    found.flags.writeable = False
-    return found
+    differences: Array = np.array(others) - plain
+    differences.flags.writeable = False
+    return differences
 
 
 # Elastoplastic elements, and the travel over which each yields, in presliding lengths: quantiles of the law (Gamma of
@@ -225,7 +225,7 @@ def _closing(velocity_mm_s: bytes, time_s: bytes, length_mm: float) -> Array:
 
     An element stretches by 1 over its yield travel, and slides at -1 and 1.
     """
-    found: Array = _ppvi.yielding(np.frombuffer(velocity_mm_s), np.frombuffer(time_s), length_mm, _YIELDS)
-    found -= _slid(velocity_mm_s, time_s, length_mm, 0.0)
-    found.flags.writeable = False
-    return found
+    differences: Array = _ppvi.yielding(np.frombuffer(velocity_mm_s), np.frombuffer(time_s), length_mm, _YIELDS)
+    differences -= _slid(velocity_mm_s, time_s, length_mm, 0.0)
+    differences.flags.writeable = False
+    return differences

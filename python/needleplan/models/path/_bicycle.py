@@ -80,7 +80,7 @@ class Bicycle(SelfIntegratingModel):
 
     def initial_state(self, motion: Motion) -> Array:
         """Return lateral position and heading at the first sample, shape (2,), after an insertion without rotation."""
-        depth, angle = (float(np.ravel(each)[0]) for each in (motion.depth_mm, motion.angle_rad))
+        depth, angle = (float(np.ravel(values)[0]) for values in (motion.depth_mm, motion.angle_rad))
         bend = self.curvature_per_mm * np.cos(angle)
         _, y, heading = arc_step(0.0, self.offset_mm, self.heading_rad, bend, max(depth, 0.0))
         return np.array([float(y), float(heading)])

@@ -94,7 +94,7 @@ class BicycleByDepth(SelfIntegratingModel):
             )
             if depth < _UNUSED_MM
         ]
-        depth, bend = np.array(sorted(pairs, key=lambda each: each[0])).T
+        depth, bend = np.array(sorted(pairs, key=lambda pair: pair[0])).T
         return depth, bend
 
     def curvature_at(self, depth_mm: Array | float) -> Array:
@@ -106,7 +106,7 @@ class BicycleByDepth(SelfIntegratingModel):
 
     def initial_state(self, motion: Motion) -> Array:
         """Return lateral position and heading at the first sample, shape (2,), after an insertion without rotation."""
-        depth, angle = (float(np.ravel(each)[0]) for each in (motion.depth_mm, motion.angle_rad))
+        depth, angle = (float(np.ravel(values)[0]) for values in (motion.depth_mm, motion.angle_rad))
         edges = np.unique(np.concatenate([np.linspace(0.0, max(depth, 0.0), _ARCS), self.knots[0]]))
         edges = edges[edges <= max(depth, 0.0)]
         pose = (0.0, self.offset_mm, self.heading_rad)

@@ -184,11 +184,11 @@ def quaternion_of(tangent: Array, normal: Array) -> Array:
     squares = np.array([1 + trace, *(1 + 2 * m[i, i] - trace for i in range(3))])
     # The largest of the four components is far from zero; the other three follow by division.
     k = int(squares.argmax())
-    found = np.empty(4)
-    found[k] = 0.5 * np.sqrt(squares[k])
+    quaternion = np.empty(4)
+    quaternion[k] = 0.5 * np.sqrt(squares[k])
     sums = {(0, 1): m[2, 1] - m[1, 2], (0, 2): m[0, 2] - m[2, 0], (0, 3): m[1, 0] - m[0, 1],
             (1, 2): m[0, 1] + m[1, 0], (1, 3): m[0, 2] + m[2, 0], (2, 3): m[1, 2] + m[2, 1]}  # fmt: skip
     for other in range(4):
         if other != k:
-            found[other] = sums[min(k, other), max(k, other)] / (4 * found[k])
-    return found
+            quaternion[other] = sums[min(k, other), max(k, other)] / (4 * quaternion[k])
+    return quaternion

@@ -85,7 +85,7 @@ class SlowObserver:
         near = int(np.clip(np.searchsorted(self.alphas, self.alpha1), 1, self.alphas.size - 1))
         fast, interval = self.projection.fast.alpha1, self.projection.fast.interval_s
         ends = [
-            Projection.critically_damped(each, interval, fast) for each in self.alphas[near - 1 : near + 1].tolist()
+            Projection.critically_damped(alpha, interval, fast) for alpha in self.alphas[near - 1 : near + 1].tolist()
         ]
         lags = [float(end.lag_rad(frequency_hz)) for end in ends]
         change = float(self.gaps_mm_s[near] - self.gaps_mm_s[near - 1])
@@ -131,7 +131,7 @@ def tune_slow_observer(
     """
     from scipy.optimize import bisect
 
-    time, depth, force = (np.asarray(each, float) for each in (time_s, depth_mm, force_n))
+    time, depth, force = (np.asarray(array, float) for array in (time_s, depth_mm, force_n))
     interval = _even_interval(time, depth, force)
     fast = HighGainObserver.critically_damped(fast_alpha1, interval)
     filtered = fast.normalised.apply(force)
@@ -151,14 +151,16 @@ def tune_slow_observer(
         up, down = at_zero(alpha1)
         return float(np.median(up) - np.median(down))
 
-    gaps = np.array([gap(each) for each in alphas.tolist()])
+    gaps = np.array([gap(alpha) for alpha in alphas.tolist()])
     changes = np.flatnonzero((gaps[:-1] <= 0) & (gaps[1:] > 0))
     if not changes.size:
         return SlowObserver(TuningStatus.NO_COMPENSATION, None, alphas, gaps, upward, downward)
     last = int(changes[-1])
     alpha1 = float(bisect(gap, alphas[last], alphas[last + 1], xtol=_PRECISION))
     projection = Projection(fast, HighGainObserver.critically_damped(alpha1, interval))
-    sides = [np.var(each, ddof=1) / each.size if each.size > 1 else np.inf for each in at_zero(alpha1)]
+    sides = [
+        np.var(crossings, ddof=1) / crossings.size if crossings.size > 1 else np.inf for crossings in at_zero(alpha1)
+    ]
     gap_sd = float(np.sqrt(sum(sides)))
     return SlowObserver(TuningStatus.COMPENSATED, projection, alphas, gaps, upward, downward, gap_sd)
 

@@ -34,7 +34,7 @@ _FARTHEST_MM_S = 1e5
 
 
 class FrictionLaw(Protocol):
-    """A friction model with one bristle that computes with Python floats, at a sample of a motion.
+    """Interface of a friction law with one bristle, evaluated with Python floats at a sample of a motion.
 
     `w_mm_s` is the velocity of the needle relative to the tissue. `bending` is the state of the bristle, `bending_rate`
     the rate of change of this state per second.
@@ -53,7 +53,7 @@ def step_through(law: FrictionLaw, k: float, c: float, m: float, motion: Motion,
     `start`, shape (3,), is the state at the first sample. All samples after the state has grown without bound are NaN.
     """
     times, needle = motion.time_s.tolist(), motion.velocity_mm_s.tolist()
-    bent, moved, speed = (float(each) for each in start)
+    bent, moved, speed = (float(number) for number in start)
     steps = stepping(law, k, c, m, needle[0], (bent, moved, speed))
     next(steps)
     rows = [(bent, moved, speed)]
