@@ -115,6 +115,19 @@ def test_entry_says_how_success_falls(tmp_path: Path) -> None:
     assert [each["residual_mm"] for each in entry["breathing"]] == [0.0, 2.5, 5.0, 7.5]
     assert entry["breathing"][-1]["success"] < entry["breathing"][0]["success"]
     assert "breathing moves the tissue by up to" in needleplan("entry", file, "--top", 1).stdout
+    ball = "{ center_mm = [16.0, 20.0, 50.0], radius_mm = 4.0 }"
+    targets = "".join(
+        f'[[anatomy.targets]]\nname = "{name}"\nregion = {region}\n'
+        for name, region in (("lesion", '"target"'), ("core", ball))
+    )
+    text = TEXT.replace('target = "target"\n', "").replace("[needle]", f"{targets}[needle]")
+    said = json.loads(needleplan("entry", write(tmp_path, box(), text + BREATH), "--top", 2, "--json").stdout)
+    first, second = said["entries"]
+    assert all("breathing" not in each for each in second["targets"].values())
+    for each in first["targets"].values():
+        at_rest, *_, moved = each["breathing"]
+        assert at_rest["success"] == pytest.approx(each["success"], abs=0.05)
+        assert moved["success"] < at_rest["success"]
 
 
 def test_a_sweep_over_levels_finds_the_field(tmp_path: Path) -> None:
@@ -137,6 +150,7 @@ def test_a_sweep_over_levels_finds_the_field(tmp_path: Path) -> None:
         ('full_mm = 8.0\nfade_mm = 8.0\nstill = ["vessel"]', "breathing.fade_mm = 8: must be above full_mm"),
         ('full_mm = 8.0\nstill = ["vesel"]', 'did you mean "vessel"'),
         ('full_mm = 8.0\nstill = ["vessel"]\nlevel = 2.0', "breathing.level = 2"),
+        ('full_mm = 8.0\nstill = ["vesel"]', "anatomy.toml: breathing.still"),
         ('full_mm = 8.0\nfield = "none.nrrd"', "none.nrrd"),
         ('full_mm = 8.0\nfield = "box.nii.gz"', "must be an NRRD file"),
         ('full_mm = 8.0\nfield = "field.nrrd"', "not all of them 0"),
@@ -146,6 +160,13 @@ def test_what_is_wrong_is_refused(tmp_path: Path, lines: str, says: str) -> None
     field(tmp_path, (0.0, 0.0, 0.0))
     with pytest.raises(ScenarioError, match=says):
         moving(tmp_path, f"\n[breathing]\n{lines}\n")
+
+
+def test_a_level_that_moves_a_region_out_of_the_volume_is_refused(tmp_path: Path) -> None:
+    field(tmp_path, (0.0, -1.0, 0.0))
+    away = r"anatomy.toml: breathing.level = 1: moves a region away: anatomy.target \(no voxel is left in the volume\)"
+    with pytest.raises(ScenarioError, match=away):
+        moving(tmp_path, '\n[breathing]\nfull_mm = 60.0\nlevel = 1.0\nfield = "field.nrrd"\n')
 
 
 def test_vectors_have_three_components(tmp_path: Path) -> None:

@@ -183,4 +183,10 @@ def test_the_robot_gets_the_limits_of_the_run(still: Still, folder: Path, capsys
          still.tracker, "--registration", str(folder / "registration.toml"), "--limits", str(wide),
          "--accept-limits", "a test"]
     )  # fmt: skip
-    refused(capsys, code, "hello", "the depth is outside the limits of the robot", "narrow the limits of the run")
+    refused(
+        capsys,
+        code,
+        "hello",
+        "the depth is outside the limits of the robot",
+        "narrow the limits of the run to those of the robot: -100 to 250 mm",
+    )

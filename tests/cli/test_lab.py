@@ -229,12 +229,20 @@ def test_a_port_that_is_taken_is_one_clear_error(option: str, kind: socket.Socke
      (("--start", "0,20,0"), ("needs --table",)), (("--table", "no.h5"), ("no.h5",)),
      (("--tracker-port", "8765"), ("needs --tracker-line tcp",)), (("--duration", "nan"), ("positive number",)),
      (("--longest-silence", "0"), ("from 0.005 to 60",)), (("--seed", "-1"), ("whole number",)),
-     (("--host", "name.invalid"), ("name.invalid",))],
+     (("--host", "name.invalid"), ("name.invalid",)), (("--follow", ""), ("must begin with the kind of link",)),
+     (("--follow", "udp://name.invalid"), ("host = name.invalid",))],
 )  # fmt: skip
 def test_what_cannot_be_is_refused(arguments: tuple[str, ...], words: tuple[str, ...]) -> None:
     # If it is not refused, it ends.
     ending = () if "--duration" in arguments else ("--duration", "1")
     refused(needleplan("lab", *arguments, *ending), *words)
+
+
+@pytest.mark.study
+def test_a_robot_that_is_not_there_is_told_at_the_end() -> None:
+    done = needleplan("lab", "--follow", "udp://127.0.0.1:9", "--duration", "1")
+    assert done.returncode == 0
+    assert "warning: udp://127.0.0.1:9 has sent no status" in done.stderr
 
 
 @pytest.mark.study

@@ -19,7 +19,7 @@ from needleplan.control import (
     RunSetup,
     replay,
 )
-from needleplan.devices import VirtualClock
+from needleplan.devices import Sample, Source, VirtualClock
 from needleplan.errors import DataError
 from needleplan.estimation.registration import Registration, RegistrationVerdict, VerdictStatus
 from needleplan.estimation.tip import TipSettings
@@ -30,6 +30,7 @@ from needleplan.planning import plan
 from needleplan.recording import EVENT, Recorder, Recording, Session, read_records
 from needleplan.recording.export import FORMATS
 from needleplan.simulation import Move, Simulation, simulated_station
+from needleplan.stopping import Rest
 from tests.cli.commands import needleplan
 from tests.control.scenes import FAST, NOISY, WIDE, a_lab, coil_of, insertion_in, small_table, station_of
 
@@ -66,6 +67,27 @@ def test_curvature_sensors_and_images_guide_a_run_and_its_replay(tmp_path: Path)
     assert replay(recording, table).differences == ()
     blind = RunSetup.from_texts({name: text for name, text in run.texts.items() if name[0] not in "fu"})
     assert RunSetup.from_texts(run.texts) == run != blind
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("source", [Source.FIBRE, Source.IMAGE])
+def test_a_sensor_that_improves_the_tip_and_falls_silent_ends_the_run(source: Source) -> None:
+    setup = replace(a_lab(NOISY).plant.setup, fibre=FibreSensors((5.0, 20.0)), ultrasound=ImagePlane())
+    table = small_table()
+    station = simulated_station(Simulation(setup, (Move(dwell_s=1.0),)), table, table.best_entry(), 2)
+    device, read = station.more[source], station.more[source].read
+    begun_ns = station.clock.now_ns()
+
+    def silent(timeout_s: float) -> Sample | None:
+        return None if station.clock.now_ns() - begun_ns > 2e9 else read(timeout_s)
+
+    device.read = silent  # type: ignore[method-assign]
+    report = Insertion(
+        table, station, FAST, registration=station.registration, limits=WIDE, accepted_limits="a fast lab",
+    ).run()  # fmt: skip
+    assert report.outcome is InsertionOutcome.FAULT
+    assert report.cause == f"{source}: no sample for 1 s"
+    assert report.rest is Rest.RESTS
 
 
 @pytest.mark.slow

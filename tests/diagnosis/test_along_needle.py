@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from needleplan.cli.diagnose import _ALONG_NEEDLE
 from needleplan.diagnosis import Library, diagnose
 from needleplan.diagnosis._along_needle import curvature_remarks
 from needleplan.models import ModelFile, SpatialBicycle
@@ -48,6 +49,7 @@ def test_a_needle_that_bends_more_than_its_tip_tells_is_named_by_its_sensors() -
     remarks = list(curvature_remarks(SpatialBicycle(0.004), trials(0.005), SENSORS))
     assert [each.split(" mm behind")[0].split()[-1] for each in remarks] == ["5", "20"]
     assert all("differs from the model by +1 1/m toward the bevel" in each for each in remarks)
+    assert all(each.startswith(_ALONG_NEEDLE) for each in remarks)  # the command prints them without --verbose
 
 
 @pytest.mark.slow

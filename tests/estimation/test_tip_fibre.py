@@ -159,12 +159,24 @@ def filled_to_40() -> TipFilter:
 @pytest.mark.parametrize(("values", "health"), [
     ((math.nan, math.nan), Health.GOOD),
     ((1 / RADIUS_MM, 0.0), Health.SUSPECT),
-    ((1000 / RADIUS_MM, 0.0), Health.GOOD),
-], ids=["broken", "suspect", "in 1 per m"])  # fmt: skip
+    ((0.09, 0.0), Health.GOOD),
+], ids=["broken", "suspect", "contradicting"])  # fmt: skip
 def test_readings_that_cannot_be_are_not_used(values: tuple[float, float], health: Health) -> None:
     found, plain = fed(values, health).tip, filled_to_40().tip
     assert found.position_mm == pytest.approx(plain.position_mm, abs=0.02)
     assert found.heading_sd_rad == pytest.approx(plain.heading_sd_rad, rel=0.02)
+
+
+def test_readings_in_another_unit_are_refused_and_a_short_glitch_is_not() -> None:
+    with pytest.raises(
+        DataError, match=r"curvatures_per_mm = .* 1/mm: is questionably large, in 10 samples in a row; in 1/m"
+    ):
+        fed((1000 / RADIUS_MM, 0.0))
+    tip = filled()
+    for number in range(40):
+        values = (1000 / RADIUS_MM if number % 10 else 0.0, 0.0)
+        tip.update_fibre(FibreSample(Stamp(number, number), (values,) * 3))
+    assert tip.tip.position_mm == pytest.approx(filled().tip.position_mm)
 
 
 def test_samples_of_other_sensors_are_refused() -> None:

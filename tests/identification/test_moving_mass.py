@@ -55,6 +55,17 @@ def test_without_acceleration_the_remark_gives_the_missing_one() -> None:
     assert "times the acceleration" in said
 
 
+def test_a_mass_below_zero_is_no_matter_of_the_motion() -> None:
+    record = strokes(2.0)
+    inertia_n = 1e-3 * MASS_KG * np.gradient(record["velocity_mm_s"], record["time_s"])
+    lagging = record.with_column("force_n", record["force_n"] - 2 * inertia_n)
+    found = identify([lagging], models=["II"], mass=True)
+    assert not found.estimates["mass_kg"].identified
+    (said,) = [each for each in found.remarks if "moving mass" in each]
+    assert "the force of a spring or of a delay" in said
+    assert "move faster" not in said
+
+
 def test_noise_of_the_depth_is_found_to_bias_the_mass() -> None:
     found = identify([strokes(2.0, noise_mm=0.01, velocity=False)], models=["II"], mass=True)
     assert not found.estimates["mass_kg"].identified

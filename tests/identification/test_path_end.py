@@ -99,7 +99,11 @@ def test_what_cannot_be_predicted_is_refused() -> None:
     with pytest.raises(DataError, match=r"has passed the end at 80 mm"):
         predict_end(whole, EARLIER, depth_mm=80, layers=1)
     with pytest.raises(DataError, match="has no sample"):
+        predict_end(whole, EARLIER, until_mm=1e-6, layers=1)
+    with pytest.raises(DataError, match="until_mm = -5: must be a finite number of mm above 0"):
         predict_end(whole, EARLIER, until_mm=-5, layers=1)
+    with pytest.raises(DataError, match="depth_mm = nan: must be a finite number of mm above 0"):
+        predict_end(whole, EARLIER, depth_mm=np.nan, layers=1)
     elsewhere = Record(whole.columns, "now", frame=RecordFrame(FrameName.TRACKER, "coil"))
     earlier = [Record(each.columns, each.trial, frame=RecordFrame(FrameName.GUIDE, "guide")) for each in EARLIER]
     with pytest.raises(DataError, match="frame"):

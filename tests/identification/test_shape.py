@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from needleplan.errors import DataError, ModelError
+from needleplan.cli.identify_options import sensors_at
+from needleplan.errors import DataError, InputError, ModelError
 from needleplan.identification.shape import identify
 from needleplan.models import LayeredShape, ModelFile
 from needleplan.models.deflection import FibreSensors
@@ -61,6 +62,8 @@ def test_the_intervals_hold_the_truth_of_two_layers() -> None:
 def test_wrong_sensors_have_one_clear_error() -> None:
     with pytest.raises(DataError, match="--sensors: is missing"):
         identify([insertion(0)])
+    with pytest.raises(InputError, match="in mm, not in m"):
+        sensors_at("0.010,0.035")
     with pytest.raises(ModelError, match="the nearest sensor first"):
         identify([insertion(0)], fibre=FibreSensors.at(PLACES[::-1]))
     with pytest.raises(DataError, match="is not a sensor of the needle, which has 2"):
@@ -70,6 +73,14 @@ def test_wrong_sensors_have_one_clear_error() -> None:
     short = LayeredShape(0.003, 0.002).curvatures([12.0] * 60, PLACES)
     with pytest.raises(DataError, match="too few sensors are in the tissue"):
         identify([record(short, 12.0)], fibre=SENSORS)
+
+
+def test_a_sensor_that_no_insertion_brings_into_the_tissue_is_named() -> None:
+    inside = insertion(0)
+    far = inside.with_column("fbg5_y_per_mm", 0 * inside["time_s"]).with_column("fbg5_z_per_mm", 0 * inside["time_s"])
+    found = identify([far], fibre=FibreSensors.at((*PLACES, 900.0)))
+    assert found.model == identify([inside], fibre=SENSORS).model
+    assert "the sensor 900 mm from the tip is not in the tissue in any trial, and was not used" in found.remarks
 
 
 def test_the_command_writes_a_model_with_its_sensors(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

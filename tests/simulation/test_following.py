@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
+import socket
 import threading
 import time
 
@@ -84,3 +86,34 @@ def test_a_relay_passes_commands_and_statuses_on_and_reads_them() -> None:
             relay.close()
     assert max(seen) == pytest.approx(0.5, abs=0.02)
     assert relay.ticks == len(ticks) > 10
+    assert relay.statuses == len(seen)
+
+
+def test_a_relay_survives_more_controllers_than_it_has_ways_for() -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as robot, contextlib.ExitStack() as stack:
+        robot.bind(("127.0.0.1", 0))
+        robot.settimeout(20.0)
+        relay = RobotRelay(robot.getsockname(), lambda _: None, lambda _: None)
+        host, port = relay.address.removeprefix("udp://").split(":")
+        peers = [stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) for _ in range(17)]
+        thread = threading.Thread(target=relay.run)
+        for peer in peers[:16]:
+            peer.sendto(b"hello", (host, int(port)))
+        thread.start()
+        try:
+            first, *_ = [robot.recvfrom(64)[1] for _ in range(16)]
+            relay.stop()
+            thread.join()
+            # Both wait: a 17th controller, for which the oldest way is closed, and an answer on this way.
+            peers[16].sendto(b"hello", (host, int(port)))
+            robot.sendto(b"answer", first)
+            relay._stopping.clear()
+            thread = threading.Thread(target=relay.run)
+            thread.start()
+            assert robot.recvfrom(64)[0] == b"hello"
+            peers[16].sendto(b"again", (host, int(port)))
+            assert robot.recvfrom(64)[0] == b"again"
+        finally:
+            relay.stop()
+            thread.join()
+            relay.close()

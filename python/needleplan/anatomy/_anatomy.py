@@ -153,8 +153,12 @@ class Anatomy:
             names |= read_color_table(folder / file.anatomy.labels)
         if file.breathing is None:
             return cls(file, volume, names, source)
-        exhaled = cls(file, volume, names, source, TissueMotion.read(file.breathing, names, folder))
-        return exhaled.inspired(file.breathing.level) if file.breathing.level else exhaled
+        try:
+            motion = TissueMotion.read(file.breathing, names, folder)
+        except ScenarioError as error:
+            raise ScenarioError(error.mistakes, error.source or source) from None
+        exhaled = cls(file, volume, names, source, motion)
+        return exhaled.inspired(file.breathing.level)._required() if file.breathing.level else exhaled
 
     @cached_property
     def regions(self) -> AnatomyRegions:
@@ -265,6 +269,15 @@ class Anatomy:
         """Return the centres of the voxels of a region in RAS mm, shape (n, 3)."""
         return self.volume.world(np.argwhere(self.inside(region)))
 
+    def _required(self) -> Anatomy:
+        """Return this anatomy. Raises ScenarioError if breathing has moved a region out of the volume or of reach."""
+        assert self.file.breathing is not None
+        if mistakes := self._overlaps():
+            listed = ", ".join(dict.fromkeys(f"{each.key} ({each.rule})" for each in mistakes))
+            rule = f"moves a region away: {listed}"
+            raise ScenarioError(Mistake("breathing.level", f"{self.file.breathing.level:g}", rule), self.source)
+        return self
+
     def _twice(self) -> Iterator[Mistake]:
         """Yield the mistakes of labels that are named twice, by name and by number, with different meanings."""
         regions = self.regions
@@ -294,8 +307,9 @@ class Anatomy:
             aims = zip(regions.aim_keys, (aim.region for aim in regions.aims), strict=True)
             entrances = ((key, entrance.region) for key, entrance in regions.entrances.items())
             for key, region in (*aims, *entrances):
-                if np.isin(self.volume.labels[self.inside(region)], closed).all():
-                    mistakes.append(
-                        Mistake(f"anatomy.{key}", str(region), f"all of its voxels belong to anatomy.{kind}")
-                    )
+                labels_within = self.volume.labels[self.inside(region)]
+                if np.isin(labels_within, closed).all():
+                    rule = f"all of its voxels belong to anatomy.{kind}"
+                    rule = rule if labels_within.size else "no voxel is left in the volume"
+                    mistakes.append(Mistake(f"anatomy.{key}", str(region), rule))
         return mistakes

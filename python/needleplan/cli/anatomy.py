@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from needleplan.artifacts import FileKind, file_format
 from needleplan.cli.answer import by_table, complain, note, percent, print_json, working
-from needleplan.cli.lattice_report import lattice_record, lattice_texts
+from needleplan.cli.lattice_report import breath_lines, lattice_record, lattice_texts
 from needleplan.cli.options import require_ending, require_inputs_kept, require_outputs
 from needleplan.cli.parser import Parser
 from needleplan.cli.streams import one_line
@@ -190,7 +190,7 @@ def _run_entries(
         print(one_line(entries.table.scenario.title or options.table))
         for line in _lines(entries, ranked, realised, regions, exact=options.exact_entry):
             print(one_line(line))
-        for line in _breath_lines(breaths):
+        for line in breath_lines(breaths):
             print(line)
         for rank, risks in enumerate(near if options.verbose else [], start=1):
             listed = ", ".join(f"{name} {distance:.1f} mm" for name, distance in risks.items())
@@ -280,16 +280,6 @@ def _lines(
         )
     if realised is not None:
         yield f"  the best entry reached the target in {percent(realised)} of {_RUNS:,} executions with noise"
-
-
-def _breath_lines(breaths: list[ResidualSuccess]) -> Iterator[str]:
-    """Yield the lines on the success of the ranked entries with a residual of breathing."""
-    if breaths:
-        yield "  success if breathing moves the tissue by up to  " + "  ".join(
-            f"{x.residual_mm:>4g} mm" for x in breaths
-        )
-    for number in range(len(breaths[0].entries) if breaths else 0):
-        yield f"  {number + 1:>4}{'':43}" + "  ".join(f"{percent(x.entries[number].value):>7}" for x in breaths)
 
 
 def _plane_record(entries: EntryMap, plane: AnatomyPlane) -> dict[str, Any]:

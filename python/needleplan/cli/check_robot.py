@@ -55,7 +55,8 @@ def _run(options: argparse.Namespace) -> int:
     try:
         bench = open_bench(options.address, options.may_move)
     except DeviceFault as fault:
-        return complain(f"{options.address}: {fault}")
+        hint = "" if "no answer" not in str(fault) else ": is a robot there, free, and with this key or none?"
+        return complain(f"{str(fault) if options.address in str(fault) else f'{options.address}: {fault}'}{hint}")
     motion, outcomes = bench.motion, []
     note(
         f"moves the needle from {motion.start_mm:.2f} mm to {motion.far_mm:.2f} mm, at most {motion.speed_mm_s:g} mm/s,"

@@ -19,6 +19,9 @@ if TYPE_CHECKING:
 
 __all__ = ["add_to", "run"]
 
+# Begin of the remarks that compare curvature sensors with the model; they are printed without --verbose, too.
+_ALONG_NEEDLE = "curvature along the needle:"
+
 
 def add_to(commands: Any) -> None:
     """Add this command and its options to the program's parser."""
@@ -117,6 +120,9 @@ def run(options: argparse.Namespace) -> int:
             written = (*written, name)
     if not options.json:
         print_first(options, lines)
+        for remark in found.remarks if not options.verbose else ():
+            if remark.startswith(_ALONG_NEEDLE):
+                note(remark)
         if scenario:
             print("\n".join(corrected_plan_lines(found, what)))
     for each in written:

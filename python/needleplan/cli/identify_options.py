@@ -119,7 +119,12 @@ def sensors_at(text: str) -> FibreSensors:
     """Return the sensors at the distances from the tip of `--sensors MM,MM`. Raises InputError or ModelError."""
     from needleplan.models.deflection import FibreSensors
 
-    return FibreSensors.at(numbers("--sensors", text, text.count(",") + 1))
+    places = numbers("--sensors", text, text.count(",") + 1)
+    if max(map(abs, places)) < 1.0:
+        raise InputError(
+            Mistake("--sensors", text, "is questionably small: give distances from the tip in mm, not in m")
+        )
+    return FibreSensors.at(places)
 
 
 def _listed(kinds: Sequence[str]) -> str:

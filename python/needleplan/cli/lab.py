@@ -87,6 +87,7 @@ def add_to(commands: Any) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Run the command and return the exit code: 1 if all processes of the lab have ended by themselves, else 0."""
+    from needleplan.devices import Address, open_link
     from needleplan.devices.robot import RobotLimits, read_key, robot_place
     from needleplan.devices.sensor_processes import LabPlaces, TrackerLine
     from needleplan.simulation import Simulation, tip_noise_remark
@@ -109,7 +110,10 @@ def run(options: argparse.Namespace) -> int:
     longest_valid_s = max(RobotLimits.longest_valid_s, options.longest_silence)
     limits = RobotLimits(longest_silence_s=options.longest_silence, longest_valid_s=longest_valid_s)
     key = read_key(options.key_file) if options.key_file else None
-    follow = robot_place(options.follow, ())[1] if options.follow else None
+    follow = None
+    if options.follow is not None:
+        follow = robot_place(options.follow, ())[1]
+        open_link(Address("udp", *follow)).close()  # raises AddressError for an unknown host
     # The signals are caught before the first process starts, so no process is left behind.
     ending = threading.Event()
     with (
@@ -124,6 +128,8 @@ def run(options: argparse.Namespace) -> int:
             f"served {robot.ticks:,} ticks, {robot.overruns:,} of them late, the worst by "
             f"{1e3 * robot.worst_overrun_s:.3g} ms"
         )
+        if follow and not robot.statuses:
+            note(f"warning: {options.follow} has sent no status: the needle has followed no robot")
     return complain("all processes of the lab have ended") if all_died else 0
 
 
@@ -203,7 +209,7 @@ def _require(options: argparse.Namespace) -> None:
             mistakes.append(
                 Mistake(option, f"{getattr(options, name)}", "must be a port from 1 to 65535, or 0 for a free port")
             )
-    if options.follow and options.key_file:
+    if options.follow is not None and options.key_file:
         mistakes.append(
             Mistake("--key-file", options.key_file, "is that of the robot at --follow, and of its controller")
         )

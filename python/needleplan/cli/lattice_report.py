@@ -1,14 +1,18 @@
-"""What `plan` and `entry` say about the lattice of an anatomy: its resolution, and what it changes of the file."""
+"""What `plan` and `entry` say about the lattice of an anatomy, what it changes of the file, and about breathing."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
+from needleplan.cli.answer import percent
+
 if TYPE_CHECKING:
     from needleplan.anatomy import SpaceScenario
+    from needleplan.planning import ResidualSuccess
 
-__all__ = ["lattice_record", "lattice_texts"]
+__all__ = ["breath_lines", "lattice_record", "lattice_texts"]
 
 
 def lattice_texts(scenario: SpaceScenario) -> dict[str, str]:
@@ -40,3 +44,15 @@ def lattice_record(scenario: SpaceScenario) -> dict[str, Any]:
         "needle_thickness_mm": scenario.needle.thickness_mm,
         "loss": asdict(grid.loss) if grid.loss else None,
     }
+
+
+def breath_lines(breaths: Sequence[ResidualSuccess], whose: str = "") -> Iterator[str]:
+    """Yield the lines on the success of the ranked entries with a residual of breathing."""
+    if not breaths:
+        return
+    title = f"  {whose}success if breathing moves the tissue by up to"
+    yield f"{title}  " + "  ".join(f"{each.residual_mm:>4g} mm" for each in breaths)
+    for number in range(len(breaths[0].entries)):
+        yield f"  {number + 1:>4}{'':{len(title) - 6}}  " + "  ".join(
+            f"{percent(each.entries[number].value):>7}" for each in breaths
+        )

@@ -10,13 +10,13 @@ from dataclasses import asdict, replace
 from typing import TYPE_CHECKING, Any
 
 from needleplan.cli.answer import complain, note, percent, print_json, working
-from needleplan.cli.lattice_report import lattice_record, lattice_texts
+from needleplan.cli.lattice_report import breath_lines, lattice_record, lattice_texts
 from needleplan.cli.streams import one_line
 from needleplan.errors import InputError, Mistake
 
 if TYPE_CHECKING:
     from needleplan.anatomy import Anatomy
-    from needleplan.planning import TargetEntry, TargetMap
+    from needleplan.planning import ResidualSuccess, TargetEntry, TargetMap
 
 __all__ = ["run_target_entries"]
 
@@ -43,6 +43,7 @@ def run_target_entries(anatomy: Anatomy, options: argparse.Namespace, top: int) 
     with working(options, "looking for the best entries"):
         found = rank_for_targets(anatomy)
         ranked = found.best(top, rank=rank, exact=options.exact_entry)
+        breaths = _in_breath(anatomy, found, ranked)
     if options.output:
         write_whole(options.output, _csv(found, ranked).encode())
         note(f"wrote {options.output}")
@@ -50,11 +51,14 @@ def run_target_entries(anatomy: Anatomy, options: argparse.Namespace, top: int) 
         write_whole(options.markups, targets_markups_text(found, ranked).encode())
         note(f"wrote {options.markups}")
     if options.json:
-        print_json(_record(anatomy, found, ranked, rank))
+        print_json(_record(anatomy, found, ranked, rank, breaths))
     else:
         print(one_line(anatomy.file.title or options.table))
         for line in _lines(found, ranked, rank, exact=options.exact_entry):
             print(one_line(line))
+        for name, of_target in breaths.items():
+            for line in breath_lines(of_target, f"{name}, entry 1: "):
+                print(one_line(line))
         for topic, text in lattice_texts(_scenario(anatomy, found)).items():
             print(one_line(f"  {topic}: {text}"))
     if found.unreached:
@@ -64,6 +68,16 @@ def run_target_entries(anatomy: Anatomy, options: argparse.Namespace, top: int) 
         listed = ", ".join(found.unreached)
         return complain(f"no entry reaches {listed} in 0.1 % of executions by the table; {text}")
     return 0 if ranked else complain("no entry reaches all targets in 0.1 % of executions by the tables")
+
+
+def _in_breath(anatomy: Anatomy, found: TargetMap, ranked: Sequence[TargetEntry]) -> dict[str, list[ResidualSuccess]]:
+    """Return the success of the best entry with residuals of breathing, by target; empty without `[breathing]`."""
+    from needleplan.planning import success_in_breath
+
+    if not ranked or anatomy.file.breathing is None:
+        return {}
+    poses = {name: each.poses[[ranked[0].number]] for name, each in found.maps.items()}
+    return {name: success_in_breath(found.maps[name].table, anatomy, pose) for name, pose in poses.items()}
 
 
 def _scenario(anatomy: Anatomy, found: TargetMap) -> Any:
@@ -112,7 +126,13 @@ def _lines(found: TargetMap, ranked: Sequence[TargetEntry], rank: str, *, exact:
             )
 
 
-def _record(anatomy: Anatomy, found: TargetMap, ranked: Sequence[TargetEntry], rank: str) -> dict[str, Any]:
+def _record(
+    anatomy: Anatomy,
+    found: TargetMap,
+    ranked: Sequence[TargetEntry],
+    rank: str,
+    breaths: dict[str, list[ResidualSuccess]],
+) -> dict[str, Any]:
     from needleplan.anatomy import obstacle_distances
     from needleplan.cli.table_poses import table_pose_record
     from needleplan.planning import SpacePose
@@ -129,6 +149,8 @@ def _record(anatomy: Anatomy, found: TargetMap, ranked: Sequence[TargetEntry], r
             pose = SpacePose(*target.poses[each.number].tolist())
             of_target["start"] = table_pose_record(target.table, pose)
             of_target["obstacles_mm"] = obstacle_distances(anatomy, target.path_mm(each.number))
+            if breaths and each is ranked[0]:
+                of_target["breathing"] = [residual.record(0) for residual in breaths[name]]
         entries.append(record)
     return {
         "title": anatomy.file.title,

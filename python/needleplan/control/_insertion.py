@@ -212,7 +212,7 @@ class Insertion(Closing):
         self._emit(RunEventName.BIAS, "begin", "the force at rest is zero")
         feed = self._station.feed(self.guard.read_device)
         closing.callback(feed.close)
-        self._needle.open(feed)
+        self._needle.open(feed, self._station.devices)
         try:
             ended = self._begin()
         except Retracted:

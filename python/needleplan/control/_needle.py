@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
 
 from needleplan.control._events import Listener
@@ -23,6 +23,7 @@ from needleplan.devices import (
     ImageSample,
     PoseSample,
     Sample,
+    Source,
     StageSample,
     VirtualClock,
 )
@@ -40,6 +41,8 @@ _CHECK_MM = 0.1
 # ns between two calls of the guard's `tick`, which sends the heartbeat to the stage: in real time a sixth of the
 # watchdog time of a robot (30 ms), so that four heartbeats in succession may be lost; in simulated time none is lost
 _TICK_NS, _SIMULATED_TICK_NS = 5_000_000, 10_000_000
+# devices that only improve the tip, by their samples: the guard does not watch them, this loop does
+_IMPROVING: dict[type[Sample], Source] = {FibreSample: Source.FIBRE, ImageSample: Source.IMAGE}
 
 
 class Stopped(Exception):
@@ -75,6 +78,7 @@ class NeedleState:
         self._checked_mm = -math.inf
         self._filter: TipFilter | None = None
         self._feed: Feed | None = None
+        self._improved_ns: dict[Source, int] = {}
         self.measured: StageSample | None = None
         """Last stage sample, also of the time after the end of the run."""
 
@@ -84,10 +88,11 @@ class NeedleState:
         self._received_ns = self._ticked_ns = clock.now_ns()
         self._tick_ns = _SIMULATED_TICK_NS if isinstance(clock, VirtualClock) else _TICK_NS
 
-    def open(self, feed: Feed) -> None:
-        """Receive samples from `feed` from now on."""
+    def open(self, feed: Feed, sources: Collection[Source]) -> None:
+        """Receive samples of `sources` from `feed` from now on."""
         self._feed = feed
         self._received_ns = self._clock.now_ns()
+        self._improved_ns = {source: self._received_ns for source in _IMPROVING.values() if source in sources}
 
     def follow(self, tip_filter: TipFilter) -> None:
         """Estimate the tip with `tip_filter` from now on."""
@@ -135,8 +140,8 @@ class NeedleState:
     def receive(self) -> None:
         """Wait at most 20 ms for the next sample, process it, and call the guard's `tick` if that is due.
 
-        Raises Stopped if the operator has stopped the run, and DeviceFault if a device fails or if no device has sent a
-        sample for `silence_s`.
+        Raises Stopped if the operator has stopped the run, and DeviceFault if a device fails, or if no device, the
+        curvature sensors or the probe have sent no sample for `silence_s`.
         """
         if self.stop_cause:
             raise Stopped(self.stop_cause)
@@ -145,9 +150,14 @@ class NeedleState:
         now_ns = self._clock.now_ns()
         if sample is not None:
             self._received_ns = now_ns
+            if (improving := _IMPROVING.get(type(sample))) is not None:
+                self._improved_ns[improving] = now_ns
             self._take(sample)
         elif (now_ns - self._received_ns) * 1e-9 >= self._options.silence_s:
             raise DeviceFault(f"no device has sent a sample for {self._options.silence_s:g} s")
+        for source, last_ns in self._improved_ns.items():
+            if (now_ns - last_ns) * 1e-9 >= self._options.silence_s:
+                raise DeviceFault(f"{source}: no sample for {self._options.silence_s:g} s")
         if now_ns - self._ticked_ns >= self._tick_ns:
             self._ticked_ns = now_ns
             for listener in self._listeners:

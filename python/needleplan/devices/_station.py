@@ -107,7 +107,7 @@ class Station(Closing):
     def close(self) -> None:
         """Close all devices, the stage first; closing again does nothing."""
         with ExitStack() as closing:
-            for device in (self.tracker, self.force_sensor, self.stage):
+            for device in (*self.more.values(), self.tracker, self.force_sensor, self.stage):
                 closing.callback(device.close)
 
 

@@ -103,12 +103,13 @@ class Served:
     """Last message of a device process to its parent.
 
     The message contains the number of ticks, the number of late ticks (`overruns`), and the largest delay of a tick
-    (s); zeros from a sensor.
+    (s); zeros from a sensor. `statuses` counts those of a robot that the lab follows.
     """
 
     ticks: int = 0
     overruns: int = 0
     worst_overrun_s: float = 0.0
+    statuses: int = 0
 
 
 def place_or_report(parent: Connection, place: Callable[[], _PlacedDevice]) -> _PlacedDevice | None:

@@ -186,7 +186,7 @@ def moving_mass(found: Fit, train: Sequence[Record], refit: Callable[[Sequence[R
         return MovingMass(estimate, change, ())
     largest = max(float(np.max(np.abs(inertia_n(with_velocity(record).motion())))) for record in train)
     size = (
-        f"the largest acceleration is {1e3 * largest:.3g} mm/s2, so that 1 kg gives {1e3 * largest:.2g} mN beside "
+        f"the largest acceleration is {1e3 * largest:.3g} mm/s2, so that 1 kg gives {1e3 * largest:.3g} mN beside "
         f"residuals of {1e3 * found.rmse:.2g} mN"
     )
     remark = (
@@ -196,6 +196,11 @@ def moving_mass(found: Fit, train: Sequence[Record], refit: Callable[[Sequence[R
         remark += (
             f"Noise of the measured motion changes the mass by {100 * abs(change / mass.value):.0f} %: record the "
             "velocity, or the depth with less noise"
+        )
+    elif high < 0:
+        remark += (
+            "A mass below 0 is the force of a spring or of a delay: is force_n positive against the insertion, taken "
+            "at the time of depth_mm, and the holder stiff?"
         )
     else:
         factor = max(2.0, mass.sd / (_WANTED * _USUAL_KG))

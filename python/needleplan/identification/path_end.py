@@ -174,6 +174,9 @@ def predict_end(
     True
 
     """
+    for name, value in (("depth_mm", depth_mm), ("until_mm", until_mm)):
+        if value is not None and not 0 < value < np.inf:
+            raise DataError(Mistake(name, f"{value:g}", "must be a finite number of mm above 0"))
     (record,) = records_of(beginning)
     trials, remarks = in_order([replace(each, role=Role.TRAIN) for each in records_of(earlier)])
     require_one_frame([record, *trials])
@@ -188,7 +191,9 @@ def predict_end(
     end = min(path.deepest_mm for path in planes[0]) if depth_mm is None else depth_mm
     used = _used(record, skip_mm, np.inf if until_mm is None else until_mm, fibre)
     if not used.size:
-        raise DataError(Mistake("depth_mm", "", "has no sample in the part of the path that counts"), record.trial)
+        raise DataError(
+            Mistake("depth_mm", "", "has no sample with a position between skip_mm and until_mm"), record.trial
+        )
     until = float(np.maximum.accumulate(_depth(record))[used[-1]])
     if until >= end:
         rule = f"has passed the end at {end:.4g} mm; until_mm leaves samples out"

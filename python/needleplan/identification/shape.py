@@ -75,6 +75,11 @@ def identify(
     remarks += [
         f"{name}: the data do not determine it" for name, estimate in estimates.items() if not estimate.identified
     ]
+    remarks += [
+        f"the sensor {place:g} mm from the tip is not in the tissue in any trial, and was not used"
+        for place in fibre.from_tip_mm
+        if place > max(depth for depth, _ in ends)
+    ]
     if boundary_mm is not None and all(boundary_mm >= depth - fibre.from_tip_mm[0] for depth, _ in ends):
         remarks.append("no sensor is in the second layer: its constant comes from the shape of the first layer alone")
     return Identification(
@@ -106,13 +111,13 @@ def _draw(figure: Figure, ends: Sequence[tuple[float, Array]], sensors: FibreSen
     """Draw the measured curvatures with those of the model, and the shape at the mean depth."""
     depth = float(np.mean([depth for depth, _ in ends]))
     shape = model.shape(depth, np.linspace(0.0, depth, 201))
-    left, right = figure.subplots(1, 2)
+    above, below = figure.subplots(2, 1, height_ratios=(2, 1))  # curvatures above the shape, which is long and thin
     for axis, name in enumerate("yz"):
-        (line,) = left.plot(shape.place_mm, 1e3 * shape.curvature_per_mm[:, axis], label=f"along {name}")
+        (line,) = above.plot(shape.place_mm, 1e3 * shape.curvature_per_mm[:, axis], label=f"along {name}")
         for deepest, seen in ends:
-            left.plot(deepest - np.array(sensors.from_tip_mm), 1e3 * seen[:, axis], "o", color=line.get_color())
-        right.plot(shape.position_mm[:, 0], shape.position_mm[:, 1 + axis], label=name)
-    left.set(xlabel="distance from the entry (mm)", ylabel="curvature (1/m)", title="sensors and model")
-    right.set(xlabel="x (mm)", ylabel="y, z (mm)", title="shape", aspect="equal")
-    left.legend()
-    right.legend()
+            above.plot(deepest - np.array(sensors.from_tip_mm), 1e3 * seen[:, axis], "o", color=line.get_color())
+        below.plot(shape.position_mm[:, 0], shape.position_mm[:, 1 + axis], label=name)
+    above.set(xlabel="distance from the entry (mm)", ylabel="curvature (1/m)", title="sensors and model")
+    below.set(xlabel="x (mm)", ylabel="y, z (mm)", title="shape", aspect="equal")
+    above.legend()
+    below.legend()

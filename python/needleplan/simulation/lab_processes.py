@@ -149,8 +149,10 @@ def serve_robot(
     with no_long_collections():
         server.run()
     server.close()
-    overruns = server.overruns if isinstance(server, RobotRelay) else machine.overruns
-    report_end(boss, Served(server.ticks, overruns, server.worst_overrun_s))
+    overruns, statuses = machine.overruns, 0
+    if isinstance(server, RobotRelay):
+        overruns, statuses = server.overruns, server.statuses
+    report_end(boss, Served(server.ticks, overruns, server.worst_overrun_s, statuses))
 
 
 class RealTimeLab(Closing):

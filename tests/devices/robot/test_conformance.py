@@ -84,6 +84,18 @@ def test_a_robot_that_leaves_the_stated_range_ends_the_test() -> None:
     assert not bench.rests
 
 
+def test_a_robot_that_answers_no_more_ends_the_test() -> None:
+    robot = Bench()
+    bench = bench_of(robot)
+    robot.machine.receive = lambda *_: b""  # type: ignore[method-assign]
+    robot.machine.tick = lambda _: None  # type: ignore[method-assign]
+    outcomes = list(try_cases(bench, ("hello", "stop", "homed")))
+    assert [each.verdict for each in outcomes] == [BROKEN, OMITTED, OMITTED]
+    assert "HELLO gets no answer" in outcomes[0].found
+    assert "gave no control for 6 s" in outcomes[1].found
+    assert not bench.rests
+
+
 @pytest.mark.parametrize("distance", [0.5, 11.0, math.nan, 0.0])
 def test_a_distance_out_of_range_is_refused_before_anything_is_sent(distance: float) -> None:
     with pytest.raises(AddressError, match="must be from 1 to 10 mm"):
@@ -129,7 +141,7 @@ def test_the_command_says_which_rules_hold(capsys: pytest.CaptureFixture[str]) -
         assert [each["verdict"] for each in told["cases"]] == ["holds", "omitted"]
         robot.machine._answer = lambda *_: b""  # type: ignore[method-assign]
         assert main(words) == 1
-        assert "HELLO gets no answer" in capsys.readouterr().err
+        assert "HELLO gets no answer instead of ACCEPTED: is a robot there, free" in capsys.readouterr().err
         assert main([*words, "--only", "stopp"]) == 2
         assert 'did you mean "stop"' in capsys.readouterr().err
     assert isinstance(robot.drive, SteadyDrive)

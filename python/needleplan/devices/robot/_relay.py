@@ -36,6 +36,7 @@ class RobotRelay:
         self.ticks: int = 0
         self.overruns: int = 0
         self.worst_overrun_s: float = 0.0
+        self.statuses: int = 0
         self._front = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._selector = selectors.DefaultSelector()
         self._ways: dict[Peer, socket.socket] = {}
@@ -72,11 +73,14 @@ class RobotRelay:
                 datagram, sender = self._front.recvfrom(_LONGEST)
                 self._way(sender).send(datagram)
                 return
+            if peer not in self._ways:
+                return  # its way was closed for a newer controller
             datagram = self._ways[peer].recv(_LONGEST)
             self._front.sendto(datagram, peer)
             with contextlib.suppress(ProtocolError):
                 message = decode(datagram)
                 if isinstance(message, RobotStatus):
+                    self.statuses += 1
                     self._seen(message)
 
     def _way(self, peer: Peer) -> socket.socket:

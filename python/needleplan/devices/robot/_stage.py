@@ -189,7 +189,7 @@ class RobotStage(Stage):
         for kind in (RobotKind.HELLO, RobotKind.RESET, RobotKind.ENABLE):
             result, _ = self._conversation.command(kind, timing.answer_s, timely=kind is not RobotKind.HELLO)
             if result is not Result.ACCEPTED:
-                hint = "; narrow the limits of the run to those of the robot" if result in _TOO_WIDE else ""
+                hint = f"; narrow the limits of the run to those of the robot: {self.limits}" * (result in _TOO_WIDE)
                 raise self._give_up(f"{kind.name.lower()}: {self._why(result, timing.answer_s)}{hint}")
         # Statuses received so far describe the robot before it was enabled.
         self._conversation.statuses.clear()

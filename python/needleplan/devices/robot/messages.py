@@ -89,6 +89,10 @@ class MotionLimits:
     rotation_rad_s: float = 0.0
     valid_us: int = 0
 
+    def __str__(self) -> str:
+        speeds = f"{self.speed_mm_s:g} mm/s, {self.roll_rad:g} rad, {self.rotation_rad_s:g} rad/s"
+        return f"{self.least_mm:g} to {self.most_mm:g} mm, {speeds}"
+
     def within(self, own: MotionLimits) -> MotionLimits | Result:
         """Return these limits, completed by the limits of the robot (`own`); the cause if a limit is invalid or wider.
 

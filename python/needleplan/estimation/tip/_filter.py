@@ -189,11 +189,12 @@ class TipFilter:
         """Correct the estimate with a sample of the curvature sensors along the needle.
 
         A sensor corrects it each time that it has moved by its gauge length. Samples before the first stage sample are
-        ignored. Raises DataError if the filter has no curvature sensors, or another number of them.
+        ignored. Raises DataError if the filter has no curvature sensors or another number of them, or if ten samples in
+        a row have curvatures above 0.1 1/mm: they are in 1/m.
         """
         if self._windows is None:
             raise DataError(Mistake("fibre", "", "is missing: give TipFilter the sensors of the needle"))
-        self._windows.require_count(sample)
+        self._windows.require(sample)
         if self._channel is None:
             return
         for key in self._windows.read(sample, self._stage.depth_at(sample.stamp.received_ns), self._base_roll):

@@ -35,6 +35,9 @@ _INTEGRALS = slice(SIZE, SIZE + _ANGLES)
 _COVERED_MM = 40.0
 _MOST = 12
 
+# Largest plausible curvature (1/mm), as in files of data, and number of samples in a row beyond it that are an error.
+_LARGEST_PER_MM, _MANY_SAMPLES = 0.1, 10
+
 # Longest path (mm) between two readings over which a sensor is interpolated; a longer gap spoils the window.
 _GAP_MM = 1.0
 
@@ -83,6 +86,7 @@ class FibreWindows:
         self._means = self._biases + 2 * len(sensors.from_tip_mm)
         self._last: list[_Reading | None] = [None] * len(sensors.from_tip_mm)
         self._passages: dict[tuple[int, int], _Passage] = {}
+        self._too_large = 0
 
     @property
     def size(self) -> int:
@@ -93,11 +97,19 @@ class FibreWindows:
         """Return the number of the newest window that ends at or before a path length; -1 if there is none."""
         return math.floor(at_mm / self.gauge_mm + 1e-9) - 1
 
-    def require_count(self, sample: FibreSample) -> None:
-        """Raise DataError if the number of sensors in a sample differs from the number in the needle."""
+    def require(self, sample: FibreSample) -> None:
+        """Raise DataError if a sample has another number of sensors, or curvatures too large for 1/mm persist."""
         if len(sample.curvatures_per_mm) != len(self._behind):
             rule = f"must be {len(self._behind)}, the sensors in from_tip_mm"
             raise DataError(Mistake("sensors of a sample", f"{len(sample.curvatures_per_mm)}", rule))
+        if sample.health is not Health.GOOD:
+            return
+        sizes = (abs(each) for pair in sample.curvatures_per_mm for each in pair)
+        largest = max(filter(math.isfinite, sizes), default=0.0)
+        self._too_large = self._too_large + 1 if largest > _LARGEST_PER_MM else 0
+        if self._too_large >= _MANY_SAMPLES:
+            rule = f"is questionably large, in {_MANY_SAMPLES} samples in a row; in 1/m? Convert it"
+            raise DataError(Mistake("curvatures_per_mm", f"{largest:.3g} 1/mm", rule))
 
     def start(self, state: Array, covariance: Array) -> tuple[Array, Array]:
         """Return state and covariance before the surface, with the columns of windows and sensors."""
