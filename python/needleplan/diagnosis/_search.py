@@ -112,10 +112,13 @@ class _Search:
             points = [start_point(problem, [*effects, start], less, like=parent) for start in starts]
             best = max(points, key=lambda point: point.log_evidence)
             return fit_hypothesis(problem, best.effects, best.trials, least=least, like=parent)
-        points = [start_point(problem, [*effects, start], trials, like=parent) for start in starts]
+        points = [start_point(problem, [*effects, starts[0]], trials, others=starts[1:], like=parent)]
+        if len(starts) > 1:  # beside the base of the parent another start may look better than with the base free
+            apart = [start_point(problem, [*effects, start], trials, like=parent) for start in starts]
+            points += sorted(apart, key=lambda point: -point.log_evidence)[:2]
         found = [
             fit_hypothesis(problem, point.effects, trials, least=least, like=parent, held=child.held, sought=False)
-            for point in sorted(points, key=lambda point: -point.log_evidence)[:2]
+            for point in points
         ]
         best = max(found, key=lambda fit: fit.log_evidence)
         return self._best_optimum(best, child, least) if len(starts) > 1 else best
