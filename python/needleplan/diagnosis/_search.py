@@ -112,14 +112,17 @@ class _Search:
             points = [start_point(problem, [*effects, start], less, like=parent) for start in starts]
             best = max(points, key=lambda point: point.log_evidence)
             return fit_hypothesis(problem, best.effects, best.trials, least=least, like=parent)
-        points = [start_point(problem, [*effects, starts[0]], trials, others=starts[1:], like=parent)]
-        if len(starts) > 1:  # beside the base of the parent another start may look better than with the base free
-            apart = [start_point(problem, [*effects, start], trials, like=parent) for start in starts]
-            points += sorted(apart, key=lambda point: -point.log_evidence)[:2]
         found = [
-            fit_hypothesis(problem, point.effects, trials, least=least, like=parent, held=child.held, sought=False)
-            for point in points
+            fit_hypothesis(
+                problem, [*effects, starts[0]], trials, others=starts[1:], least=least, like=parent, held=child.held
+            )
         ]
+        if len(starts) > 1:  # with the base free, other starts may be better than the best one beside the parent's base
+            apart = [start_point(problem, [*effects, start], trials, like=parent) for start in starts]
+            found += [
+                fit_hypothesis(problem, point.effects, trials, least=least, like=parent, held=child.held, sought=False)
+                for point in sorted(apart, key=lambda point: -point.log_evidence)[:2]
+            ]
         best = max(found, key=lambda fit: fit.log_evidence)
         return self._best_optimum(best, child, least) if len(starts) > 1 else best
 

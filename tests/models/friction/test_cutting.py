@@ -17,14 +17,15 @@ FRICTION = model_ii(2).with_values(profile=Profile.ISOSCELES)
 
 def test_what_is_added_comes_back() -> None:
     mass = 3.0
-    acceleration = MOTION.acceleration_mm_s2
+    acceleration = np.gradient(MOTION.velocity_mm_s, MOTION.time_s)
     cut = np.where(into_fresh_tissue(MOTION), 0.2, 0.0)
     force = simulate(FRICTION, MOTION).output + mass * acceleration * 1e-3 + cut
     record = Record({
         "time_s": MOTION.time_s, "depth_mm": MOTION.depth_mm, "velocity_mm_s": MOTION.velocity_mm_s, "force_n": force,
     })  # fmt: skip
     parts = cutting_force(record, FRICTION, mass)
-    np.testing.assert_allclose(parts.cutting_n, cut, atol=1e-12)
+    # The two ways to an acceleration differ by the square of the sample interval.
+    np.testing.assert_allclose(parts.cutting_n, cut, atol=1e-4)
     np.testing.assert_allclose(parts.friction_n + parts.inertia_n + parts.cutting_n, force, atol=1e-12)
 
 
