@@ -12,7 +12,7 @@ import pytest
 from vtkmodules.util.numpy_support import vtk_to_numpy
 
 from needleplan.anatomy import Anatomy, SpaceScenario
-from needleplan.cli.table_poses import start_in
+from needleplan.cli.table_poses import poses_of
 from needleplan.page import SpacePage
 from needleplan.planning import EntryMap, draw_entries, entry_map, plan_space
 from needleplan.sweep._records import record_of
@@ -74,7 +74,7 @@ def test_all_name_the_same_entry(tmp_path: Path) -> None:
         first["position_mm"], planned["position_mm"], path["start"]["position_mm"], path["poses"][0][:3],
         [float(row[f"{axis}_mm"]) for axis in "ras"],
         data.GetCell(int(executions[0])).GetPoints().GetPoint(0), [record[f"entry_{axis}_mm"] for axis in "ras"],
-        frame.world(start_in(found.table, None)[:3]),
+        frame.world(poses_of(found.table).start(None)[:3]),
     ):  # fmt: skip
         assert list(named) == pytest.approx(list(place), abs=1e-3)
     # The figure has a ring around the best entry; the page begins with it.

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from needleplan.cli.table_poses import start_in
+from needleplan.cli.table_poses import poses_of
 from needleplan.planning import SpaceTable
 from tests.anatomy.volumes import TEXT, box, write
 from tests.cli.commands import needleplan, refused
@@ -72,7 +72,7 @@ def test_a_direction_has_any_length(table: Path, size: str) -> None:
     start = read.best_entry().pose
     frame = read.scenario.grid.frame
     place, along = frame.world(start.position_mm), start.tangent @ frame.axes * float(size)
-    pose = start_in(read, ",".join(map(repr, [*place.tolist(), *along.tolist()])))
+    pose = poses_of(read).start(",".join(map(repr, [*place.tolist(), *along.tolist()])))
     assert np.allclose(pose.tangent, start.tangent)
 
 

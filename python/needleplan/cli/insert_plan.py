@@ -9,7 +9,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from needleplan.cli.options import read_any_table
-from needleplan.cli.table_poses import start_in
+from needleplan.cli.table_poses import poses_of
 from needleplan.cli.uncertainty import promise_lines, promised, read_error, read_model, read_uncertainty
 from needleplan.errors import InputError, Mistake, SweepError
 
@@ -133,7 +133,7 @@ class PlaneInsertPlan(InsertPlan):
         self.model = read_model(options.needle)
         scenario = Scenario.read(options.scenario) if options.scenario else None
         require_fitting(table, options.table, scenario, self.model)
-        self.start = start_in(table, options.start)
+        self.start = poses_of(table).start(options.start)
 
     @property
     def expected_start(self) -> tuple[float, ...]:
@@ -195,7 +195,7 @@ class SpaceInsertPlan(InsertPlan):
     def __init__(self, table: SpaceTable, options: argparse.Namespace) -> None:
         self.table = table
         _refuse_plane_options(options)
-        self.start = start_in(table, options.start)
+        self.start = poses_of(table).start(options.start)
 
     @property
     def expected_start(self) -> tuple[float, ...]:

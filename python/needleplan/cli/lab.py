@@ -139,13 +139,13 @@ def _planned(simulation: Simulation, options: argparse.Namespace) -> Setup:
     The needle gets the curvature that the table was planned with. The start is the pose of `--start`, or the best
     entry.
     """
-    from needleplan.cli.table_poses import start_in
+    from needleplan.cli.table_poses import poses_of
     from needleplan.planning import Table
     from needleplan.simulation import simulated_station
 
     require_table(options.table)
     table = Table.read(options.table)
-    start = start_in(table, options.start)
+    start = poses_of(table).start(options.start)
     with simulated_station(simulation, table, start) as station:
         return station.lab.plant.setup
 

@@ -89,11 +89,11 @@ def run_plan_space(options: argparse.Namespace) -> int:
         curvature = {"curvature": _found(found)} if found else {}
         print_json(about | best_record(table, best, success) | promise_record(promise) | files | curvature)
     else:
-        from needleplan.cli.table_poses import pose_text
+        from needleplan.cli.table_poses import poses_of
 
         shape = " x ".join(map(str, table.shape))
         lines = {
-            "best entry": pose_text(table, best),
+            "best entry": poses_of(table).text(best),
             "success": str(success),
             **promise_lines(promise),
             "grid": f"{shape} = {table.stats.states:,} states (slices, directions, y, z)",
@@ -155,7 +155,7 @@ def _found(found: SpaceCurvature) -> dict[str, object]:
 
 def best_record(table: SpaceTable, best: SpacePose, success: Success) -> dict[str, object]:
     """Return the numbers of a table and its best entry."""
-    from needleplan.cli.table_poses import table_pose_record
+    from needleplan.cli.table_poses import poses_of
 
     decision = table.lookup(best)
     return {
@@ -165,7 +165,7 @@ def best_record(table: SpaceTable, best: SpacePose, success: Success) -> dict[st
         "status": table.stats.status,
         "seconds": table.stats.seconds,
         "best_entry": {
-            **table_pose_record(table, best),
+            **poses_of(table).record(best),
             **success.record(),
             "table_success": decision.success,
             "value": decision.value,

@@ -54,22 +54,14 @@ def _add_path(commands: Any) -> None:
 
 def _run_path(options: argparse.Namespace) -> int:
     """Run `path` and return the exit code: 1 if the path does not reach the target, else 0."""
-    from needleplan.cli.table_poses import (
-        nearest_choice,
-        place_text,
-        pose_from,
-        pose_text,
-        poses_record,
-        start_in,
-        steps_text,
-        table_pose_record,
-    )
+    from needleplan.cli.table_poses import poses_of
     from needleplan.planning import Outcome
 
     require_outputs(options, [options.table])
     table = read_any_table(options)
-    how = nearest_choice(table, options.nearest)
-    path = table.path(start_in(table, options.start), **how)
+    poses = poses_of(table)
+    how = poses.nearest_choice(options.nearest)
+    path = table.path(poses.start(options.start), **how)
     decision = table.lookup(path.start, **how)
     if options.figure:
         from needleplan.plotting import legend_below, save, sheet
@@ -78,33 +70,33 @@ def _run_path(options: argparse.Namespace) -> int:
         legend_below(path.plot(axes))
         save(figure, options.figure)
         note(f"drew {options.figure}")
-    turns = [pose_from(table, turn) for turn in path.turns.tolist()]
+    turns = [poses.pose(turn) for turn in path.turns.tolist()]
     if options.json:
         print_json(
             {
-                "start": table_pose_record(table, path.start),
+                "start": poses.record(path.start),
                 "outcome": str(path.outcome),
                 "length_mm": path.length_mm,
                 "straight_mm": path.straight_mm,
                 "cost": path.cost,
                 "clearance_mm": path.clearance_mm if math.isfinite(path.clearance_mm) else None,
-                "turns": [table_pose_record(table, turn) for turn in turns],
-                "poses": poses_record(table, path.poses),
+                "turns": [poses.record(turn) for turn in turns],
+                "poses": poses.rows(path.poses),
                 "predicted_success": decision.success,
                 "predicted_value": decision.value,
             }
         )
     else:
         lines = {
-            "start": pose_text(table, path.start),
+            "start": poses.text(path.start),
             "outcome": str(path.outcome),
-            "length": f"{path.length_mm:.1f} mm{steps_text(table, path)}, {len(turns)} turns"
+            "length": f"{path.length_mm:.1f} mm{poses.steps_text(path)}, {len(turns)} turns"
             + (f", {path.straight_mm:.1f} mm straight" if path.straight_mm else ""),
             "with noise": f"predicted success {by_table(decision.success)}, cost {decision.value:.4g}",
         }
         more = {
-            "turns": ", ".join(place_text(table, turn) for turn in turns) or "none",
-            "end": pose_text(table, path.end),
+            "turns": ", ".join(poses.place_text(turn) for turn in turns) or "none",
+            "end": poses.text(path.end),
         }
         print_summary(options, table.scenario.title or options.table, lines, more)
     if path.outcome is not Outcome.TARGET:
@@ -133,21 +125,22 @@ def _add_evaluate(commands: Any) -> None:
 
 def _run_evaluate(options: argparse.Namespace) -> int:
     """Run `evaluate` and return the exit code: 1 if no execution reached the target, else 0."""
-    from needleplan.cli.table_poses import better_prediction, nearest_choice, pose_text, start_in, table_pose_record
+    from needleplan.cli.table_poses import poses_of
     from needleplan.planning import disagrees
 
     table = read_any_table(options)
-    how, start = nearest_choice(table, options.nearest), start_in(table, options.start)
+    poses = poses_of(table)
+    how, start = poses.nearest_choice(options.nearest), poses.start(options.start)
     with ended_at_once(), working(options, f"executing the policy {options.runs:,} times"):
         found = table.rollout(start, options.runs, options.seed, **how)
     low, high = found.interval
     if disagrees(found):
         predicted = f"the prediction, {percent(found.predicted_success)}, differs by more than chance and 2 points"
-        note(f"{predicted} from the executions, {percent(low)} to {percent(high)}: {better_prediction(table)}")
+        note(f"{predicted} from the executions, {percent(low)} to {percent(high)}: {poses.better_prediction}")
     if options.json:
         print_json(
             {
-                "start": table_pose_record(table, found.start),
+                "start": poses.record(found.start),
                 "runs": found.runs,
                 "seed": found.seed,
                 "nearest": options.nearest,
@@ -164,7 +157,7 @@ def _run_evaluate(options: argparse.Namespace) -> int:
         )
     else:
         lines = {
-            "start": pose_text(table, found.start),
+            "start": poses.text(found.start),
             "success": f"{percent(found.success)} of {found.runs:,} runs, 95 % interval {percent(low)} to "
             f"{percent(high)}; predicted {by_table(found.predicted_success)}",
             "cost": f"{found.mean_cost:.5g}; predicted {found.predicted_value:.5g}",

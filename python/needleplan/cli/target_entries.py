@@ -134,7 +134,7 @@ def _record(
     breaths: dict[str, list[ResidualSuccess]],
 ) -> dict[str, Any]:
     from needleplan.anatomy import obstacle_distances
-    from needleplan.cli.table_poses import table_pose_record
+    from needleplan.cli.table_poses import poses_of
     from needleplan.planning import SpacePose
 
     states, seconds = _states(found)
@@ -147,7 +147,7 @@ def _record(
         for name, of_target in record["targets"].items():
             target = found.maps[name]
             pose = SpacePose(*target.poses[each.number].tolist())
-            of_target["start"] = table_pose_record(target.table, pose)
+            of_target["start"] = poses_of(target.table).record(pose)
             of_target["obstacles_mm"] = obstacle_distances(anatomy, target.path_mm(each.number))
             if breaths and each is ranked[0]:
                 of_target["breathing"] = [residual.record(0) for residual in breaths[name]]
