@@ -189,13 +189,10 @@ class Policy:
         np.nan_to_num(self.values, copy=False, posinf=1e30)
 
     def mean_value(self, p: np.ndarray, heading: np.ndarray, bevel: np.ndarray) -> np.ndarray:
-        """Return the value expected after the noise, interpolated over x, y and heading."""
-        nx, ny, headings, _ = self.values.shape
-        at = p / self.spacing
-        i = np.clip(np.floor(at).astype(int), 0, (max(nx - 2, 0), max(ny - 2, 0)))
-        fx, fy = (at - i).T
-        ix, iy = i.T
+        """Return the value expected after the noise, interpolated along the tangent, across it, and in the heading."""
+        _, ny, headings, _ = self.values.shape
         side = (bevel > 0).astype(int)
+        corners = list(self.corners(p, heading))
         flat, total = self.values.reshape(-1), np.zeros(len(p))
         for noise, chance in zip(self.model.noise, self.model.chances, strict=True):
             row = (heading + noise) / self.model.cell
@@ -203,10 +200,23 @@ class Policy:
             f = row - k
             for dk, wk in ((0, 1 - f), (1, f)):
                 cell = (k + dk) % headings * 2 + side
-                for dx, wx in ((0, 1 - fx), (1, fx)):
-                    for dy, wy in ((0, 1 - fy), (1, fy)):
-                        total += chance * wk * wx * wy * flat[((ix + dx) * ny + iy + dy) * (2 * headings) + cell]
+                for ix, iy, weight in corners:
+                    total += chance * wk * weight * flat[(ix * ny + iy) * (2 * headings) + cell]
         return total
+
+    def corners(self, p: np.ndarray, heading: np.ndarray):
+        """Yield indices along x and y, and weights, of two points on both grid lines that the tangent crosses next."""
+        swap = np.abs(np.sin(heading)) > np.abs(np.cos(heading))
+        at, direction = p / self.spacing, np.stack([np.cos(heading), np.sin(heading)], -1) / self.spacing
+        count = np.broadcast_to(self.values.shape[:2], at.shape)
+        at, direction, count = (np.where(swap[:, None], each[:, ::-1], each) for each in (at, direction, count))
+        first = np.clip(np.floor(at[:, 0]).astype(int), 0, np.maximum(count[:, 0] - 2, 0))
+        for line in (first, first + 1):
+            to = np.clip(at[:, 1] + (line - at[:, 0]) * direction[:, 1] / direction[:, 0], 0, count[:, 1] - 1)
+            low = np.minimum(np.floor(to).astype(int), np.maximum(count[:, 1] - 2, 0))
+            for point in (low, low + 1):
+                weight = (1 - np.abs(at[:, 0] - line)) * (1 - np.abs(to - point))
+                yield np.where(swap, point, line), np.where(swap, line, point), weight
 
     def decide(self, p: np.ndarray, heading: np.ndarray, bevel: np.ndarray):
         """Return action, value, cost of the step, event, end, heading and bevel after the step, before the noise."""

@@ -18,13 +18,14 @@ from oracle_arc import (
     TARGET,
     Floats,
     Problem,
-    bilinear_corners,
     edge_distance,
     length_at,
+    stations_of,
+    tangent_corners,
 )
 from oracle_mdp import Mdp, build
 from oracle_rollout import corner_values, follow_action, greedy_q
-from oracle_success import interpolated_success, lagrange
+from oracle_success import LEAST_SUM, lagrange
 
 import needleplan as npl
 from tests.planning import test_against_oracle as plain
@@ -149,36 +150,41 @@ def read(mdp: Mdp, success: Floats, pose: tuple[float, float, float, int]) -> tu
     share = theta / problem.alpha - low
     k, side = np.array([low, low + 1]) % problem.headings, np.full(2, (bevel + 1) // 2)
     place = np.full(2, x), np.full(2, y)
-    corner, weight = bilinear_corners(problem, *place)
+    corner, weight = tangent_corners(problem, *place, np.full(2, theta))
     flat = np.concatenate([success.reshape(-1, problem.headings, 2), np.zeros((1, problem.headings, 2))])
     corners = flat[corner, k[:, None], side[:, None]]
     used = np.array([1 - share, share])[:, None] * weight > 1e-9
     spread = float(corners[used].max() - corners[used].min())
     if problem.interpolated:
-        free = mdp.kind != OBSTACLE
-        i, j = math.floor(x / problem.dx), math.floor(y / problem.dy)
-        if 1 <= i < problem.nx - 2 and 1 <= j < problem.ny - 2 and free[i - 1 : i + 3, j - 1 : j + 3].all():
-            nodes = [lagrange(np.array(each)) for each in (x / problem.dx - i, y / problem.dy - j, share)]
-            around = success[i - 1 : i + 3, j - 1 : j + 3][
-                :, :, np.arange(low - 1, low + 3) % problem.headings, side[0]
-            ]
-            return float(np.clip(np.einsum("i,j,k,ijk", *nodes, around), 0, 1)), spread
-        values = interpolated_success(problem, free, success, place, (k, side), np.zeros(2))
-    else:
-        values = (weight * corners).sum(axis=1)
+        free = (mdp.kind != OBSTACLE).astype(float)
+        headings = np.arange(low - 1, low + 3) % problem.headings
+        if (cubic := at_stations(problem, free, success[:, :, headings, side[0]] @ nodes_at(share), pose)) is not None:
+            return float(np.clip(cubic, 0, 1)), spread
+        is_free = np.append(free, 0.0)[corner]
+        total = (weight * is_free).sum(axis=1)
+        weight = weight * is_free / np.where(total > LEAST_SUM, total, 1.0)[:, None]
+    values = (weight * corners).sum(axis=1)
     return float((1 - share) * values[0] + share * values[1]), spread
 
 
-def test_on_the_grid_of_an_interpolated_table_values_are_those_of_the_table(small: npl.Scenario) -> None:
-    grid = replace(small.grid, transition="interpolated")
-    table = npl.plan(replace(small, grid=grid, solver=replace(small.solver, tolerance=1e-6)))
-    poses = np.array(
-        [(x, y, h, b) for x in (5, 12) for y in (8, 20) for h in table.scenario.headings_rad[:5] for b in (-1, 1)]
-    )
-    exact, nearest = table.lookup_many(poses), table.lookup_many(poses, nearest=True)
-    np.testing.assert_allclose(exact.value, nearest.value, rtol=1e-5)
-    # The success of executions, which look ahead from the exact pose, and not of the actions at grid points.
-    assert np.abs(exact.success - nearest.success).mean() < 0.05
+def at_stations(problem: Problem, free: Floats, table: Floats, pose: tuple[float, float, float, int]) -> float | None:
+    """A table [x, y] by cubic polynomials along four lines that the tangent crosses, and from line to line."""
+    steep, along, across, slope = stations_of(problem, pose[:2], pose[2])
+    if steep:
+        free, table = free.T, table.T
+    first, values = math.floor(along) - 1, []
+    for line in range(first, first + 4):
+        place = float(across + (line - along) * slope)
+        point = math.floor(place) - 1
+        if min(line, point) < 0 or free[line : line + 1, point : point + 4].sum() != 4:
+            return None
+        values.append(table[line, point : point + 4] @ nodes_at(place - point - 1))
+    return float(np.array(values) @ nodes_at(along - first - 1))
+
+
+def nodes_at(f: float) -> Floats:
+    """The weights of four points for a place at f behind the second."""
+    return np.array(lagrange(np.array(f)))
 
 
 def test_inside_an_obstacle_and_inside_the_target_nothing_is_left_to_do(table: npl.PolicyTable) -> None:

@@ -269,6 +269,35 @@ def bilinear_corners(problem: Problem, x: Floats, y: Floats) -> tuple[Ints, Floa
     return np.stack(corners, axis=-1), np.stack(weights, axis=-1)
 
 
+def stations_of(
+    problem: Problem, place: tuple[Any, Any], theta: Any
+) -> tuple[NDArray[np.bool_], Floats, Floats, Floats]:
+    """Whether tangents are read where they cross rows, not columns; places along and across, and slopes, in cells."""
+    x, y = place[0] / problem.dx, place[1] / problem.dy
+    steep = np.abs(np.sin(theta)) > np.abs(np.cos(theta))
+    with np.errstate(divide="ignore"):
+        slope = np.where(steep, problem.dy / np.tan(theta) / problem.dx, np.tan(theta) * problem.dx / problem.dy)
+    return steep, np.where(steep, y, x), np.where(steep, x, y), slope
+
+
+def tangent_corners(problem: Problem, x: Floats, y: Floats, theta: Floats) -> tuple[Ints, Floats]:
+    """Flat grid index and weight of two points on each of the two nearest lines that the tangents at poses cross."""
+    steep, along, across, slope = stations_of(problem, (x, y), theta)
+    lines, points = np.where(steep, problem.ny, problem.nx), np.where(steep, problem.nx, problem.ny)
+    corners, weights = [], []
+    for n in (0, 1):
+        line = np.floor(along) + n
+        place = np.clip(across + (line - along) * slope, 0.0, points - 1.0)
+        for m in (0, 1):
+            point = np.minimum(np.floor(place) + m, points - 1)  # one beyond the last has no weight
+            i, j = np.where(steep, point, line).astype(np.int64), np.where(steep, line, point).astype(np.int64)
+            inside = (line >= 0) & (line < lines)
+            corners.append(np.where(inside, i * problem.ny + j, problem.nx * problem.ny))
+            share = place - np.floor(place)
+            weights.append((1.0 - np.abs(along - line)) * (share if m else 1.0 - share))
+    return np.stack(corners, axis=-1), np.stack(weights, axis=-1)
+
+
 def edge_distance(problem: Problem, x: Floats, y: Floats) -> Floats:
     """Distance to the nearest obstacle edge or the target circle: where it is tiny, rounding errors decide an event."""
     distance = np.abs(np.hypot(x - problem.target[0], y - problem.target[1]) - problem.target_radius)

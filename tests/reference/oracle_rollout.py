@@ -3,8 +3,8 @@
 The true pose (x, y, theta) is continuous; only the decision uses the table. One step:
 
 1. Decide. "look-up": the policy of the nearest grid state. "greedy": one-step look-ahead from the true pose; the
-   value after each action's true arc is read linearly in x, y and heading, corners as in the interpolated MDP
-   (obstacle: collision cost, target: 0, outside the grid: exit cost), expectation over the noise.
+   value after each action's true arc is read linearly along its tangent, across it, and in the heading, corners as in
+   the interpolated MDP (obstacle: collision cost, target: 0, outside the grid: exit cost), expectation over the noise.
 2. Follow the true arc and test its points at t = 1/S, ..., 1. Where the radius changes from place to place the arc is
    as long as the radius at its start says, and each of its S equally long pieces has the radius of its own start. A
    straight step has pieces of the same length, with the share q of the curvature of each place. The first event ends
@@ -28,11 +28,11 @@ from oracle_arc import (
     Ints,
     Kinds,
     Problem,
-    bilinear_corners,
     follow_pieces,
     length_at,
     nearest_index,
     price_at,
+    tangent_corners,
 )
 from oracle_mdp import Mdp
 
@@ -90,7 +90,7 @@ def greedy_q(problem: Problem, cells: Floats, x: Floats, y: Floats, theta: Float
     q = np.empty((len(x), 2 if problem.straight is None else 3))
     for action in range(q.shape[1]):
         (ending, *reached), new, cost = follow_action(problem, np.full(len(x), action), x, y, theta, bevel)
-        corner, weight = bilinear_corners(problem, *reached[:2])
+        corner, weight = tangent_corners(problem, *reached)
         onward = np.zeros(len(x))
         for m, p in problem.noise.items():
             onward += p * at_heading(problem, cells, corner, weight, reached[2] + m * problem.eta, new)

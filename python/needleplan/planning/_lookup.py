@@ -168,7 +168,8 @@ class Lookups:
         """Return the decision at a pose.
 
         Every action is executed from the exact pose for one step in the continuous model. Where the step does not end
-        the insertion, the table is interpolated linearly in position and heading at its end.
+        the insertion, the table is read at its end: where the tangent crosses the columns of the grid (or the rows, if
+        the heading is nearer to y), and linearly between them and in the heading.
 
         Parameters
         ----------

@@ -1,7 +1,9 @@
 //! Decisions and predictions at exact poses by a look one step ahead.
 //!
-//! The step of every action is made in the continuous model; at its end the table is interpolated linearly over x, y and
-//! heading.
+//! The step of every action is made in the continuous model; at its end the table is interpolated over position and
+//! heading. Costs and success change little along the motion, and fast across it: needles side by side end differently. So
+//! the table is not read along x and y but along the tangent of the needle and across it, at *stations*. On a grid that is
+//! coarse along the motion, or off its columns, this is far closer to executions.
 
 use ppvi::lattice::{Motion, STRAIGHT, Shape, Transition, outcome};
 use ppvi::{Error, Result, cubic_weights};
@@ -185,11 +187,11 @@ impl Executor<'_> {
             && (one.x - other.x).hypot(one.y - other.y) < ALIKE_RADII * self.setup.workspace.target_radius
     }
 
-    /// A table of success interpolated over x, y and heading, and the range of the values at the corners of the cell, where
+    /// A table of success interpolated over position and heading, and the range of the values at the corners, where
     /// points that are not free count as 0.
     ///
-    /// Over x and y it is cubic, or linear over free corners, as the success at the end of a step in [`ppvi::lattice`]. Along
-    /// the heading it is of the same order.
+    /// It is cubic at four stations with four points each, or where one of these is not free, linear over the free corners
+    /// at two. Along the heading it is of the same order.
     fn interpolated(&self, success: &[f32], pose: Pose) -> (f64, f64) {
         let (headings, b) = (self.lattice.shape().headings, usize::from(pose.bevel > 0.0));
         let cells = pose.heading / self.setup.needle.heading_step();
@@ -227,30 +229,31 @@ impl Executor<'_> {
         (if sum > LEAST_SUM { mean / sum } else { mean }, range)
     }
 
-    /// A quantity of grid points, by their first states, interpolated with four points along x and y; None if one of them is
-    /// not free.
-    fn cubic(&self, Pose { x, y, .. }: Pose, value: impl Fn(usize) -> f64) -> Option<f64> {
-        let Shape { nx, ny, headings } = self.lattice.shape();
-        let (u, v) = (x / self.setup.spacing[0], y / self.setup.spacing[1]);
-        let first = |cells: f64, points: usize| {
+    /// A quantity of grid points, by their first states, interpolated with four points around each of the four stations
+    /// nearest to a pose; None if one of them is not free.
+    fn cubic(&self, pose: Pose, value: impl Fn(usize) -> f64) -> Option<f64> {
+        let Shape { ny, headings, .. } = self.lattice.shape();
+        let stations = self.stations(pose);
+        let [lines, points] = stations.extent;
+        let first = |cells: f64, count: usize| {
             let first = cells.floor() as i64 - 1;
-            (first >= 0 && first + 4 <= points as i64).then_some(first as usize)
+            (first >= 0 && first + 4 <= count as i64).then_some(first as usize)
         };
-        let (i, j) = (first(u, nx)?, first(v, ny)?);
-        let (of_x, of_y) = (cubic_weights(u - u.floor()), cubic_weights(v - v.floor()));
         let mut sum = 0.0;
-        for (i, wu) in (i..).zip(of_x) {
-            for (j, wv) in (j..).zip(of_y) {
+        for (line, along) in (first(stations.along, lines)?..).zip(cubic_weights(stations.along - stations.along.floor())) {
+            let place = stations.place(line as f64);
+            for (point, across) in (first(place, points)?..).zip(cubic_weights(place - place.floor())) {
+                let (i, j) = stations.point(line, point);
                 if self.lattice.outcome(Motion::Curved, i, j, 0, 0) == outcome::AT_OBSTACLE {
                     return None;
                 }
-                sum += wu * wv * value((i * ny + j) * headings * 2);
+                sum += along * across * value((i * ny + j) * headings * 2);
             }
         }
         Some(sum)
     }
 
-    /// Expectation of a table over the noise at the end of a step, interpolated linearly along x, y and heading.
+    /// Expectation of a table over the noise at the end of a step, interpolated linearly at two stations, and along the heading.
     /// `ends` are the values in obstacles and outside the grid.
     fn expectation(&self, table: &[f32], end: Pose, [in_obstacle, outside]: [f64; 2]) -> f64 {
         let headings = self.lattice.shape().headings;
@@ -284,25 +287,27 @@ impl Executor<'_> {
         expectation
     }
 
-    /// Calls `visit(weight, corner)` for the grid points around a position with their bilinear weights.
+    /// Calls `visit(weight, corner)` for the two grid points around each of the two stations nearest to a pose, with their
+    /// linear weights.
     #[inline(always)]
-    fn for_each_corner(&self, Pose { x, y, .. }: Pose, mut visit: impl FnMut(f64, Corner)) {
-        let Shape { nx, ny, headings } = self.lattice.shape();
-        let spacing = self.setup.spacing;
-        let (u, v) = (x / spacing[0], y / spacing[1]);
-        let (i, j) = (u.floor() as i64, v.floor() as i64);
-        let (fu, fv) = (u - u.floor(), v - v.floor());
-        for (di, wu) in [(0, 1.0 - fu), (1, fu)] {
-            for (dj, wv) in [(0, 1.0 - fv), (1, fv)] {
-                let (i, j, weight) = (i + di, j + dj, wu * wv);
+    fn for_each_corner(&self, pose: Pose, mut visit: impl FnMut(f64, Corner)) {
+        let Shape { ny, headings, .. } = self.lattice.shape();
+        let stations = self.stations(pose);
+        let [lines, points] = stations.extent;
+        let (line, behind) = (stations.along.floor(), stations.along - stations.along.floor());
+        for (line, along) in [(line, 1.0 - behind), (line + 1.0, behind)] {
+            // Beside the border of the grid a station may lie beyond it.
+            let place = stations.place(line).clamp(0.0, (points - 1) as f64);
+            for (point, across) in [(place.floor(), 1.0 - place.fract()), (place.floor() + 1.0, place.fract())] {
+                let weight = along * across;
                 if weight == 0.0 {
                     continue;
                 }
-                if !((0..nx as i64).contains(&i) && (0..ny as i64).contains(&j)) {
+                if !(0.0..lines as f64).contains(&line) {
                     visit(weight, Corner::Outside);
                     continue;
                 }
-                let (i, j) = (i as usize, j as usize);
+                let (i, j) = stations.point(line as usize, point as usize);
                 visit(
                     weight,
                     match self.lattice.outcome(Motion::Curved, i, j, 0, 0) {
@@ -313,9 +318,52 @@ impl Executor<'_> {
             }
         }
     }
+
+    /// The stations of a pose.
+    #[inline(always)]
+    fn stations(&self, Pose { x, y, heading, .. }: Pose) -> Stations {
+        let Shape { nx, ny, .. } = self.lattice.shape();
+        let spacing = self.setup.spacing;
+        let ((u, v), (sin, cos)) = ((x / spacing[0], y / spacing[1]), heading.sin_cos());
+        if sin.abs() > cos.abs() {
+            let slope = cos / sin * spacing[1] / spacing[0];
+            Stations { along: v, across: u, slope, is_steep: true, extent: [ny, nx] }
+        } else {
+            let slope = sin / cos * spacing[0] / spacing[1];
+            Stations { along: u, across: v, slope, is_steep: false, extent: [nx, ny] }
+        }
+    }
 }
 
-/// A grid point at the corner of a cell.
+/// Where a table is read for a pose: at the grid lines across its motion, columns unless the heading is nearer to y than to x,
+/// where its tangent crosses them.
+struct Stations {
+    /// Place of the pose along and across the motion, in cells.
+    along: f64,
+    across: f64,
+    /// Cells across for each cell along.
+    slope: f64,
+    /// Whether the lines are rows of the grid.
+    is_steep: bool,
+    /// Number of lines, and of points on each.
+    extent: [usize; 2],
+}
+
+impl Stations {
+    /// Where the tangent crosses a line, in cells across.
+    #[inline(always)]
+    fn place(&self, line: f64) -> f64 {
+        self.across + (line - self.along) * self.slope
+    }
+
+    /// The grid point of a number on a line.
+    #[inline(always)]
+    fn point(&self, line: usize, point: usize) -> (usize, usize) {
+        if self.is_steep { (point, line) } else { (line, point) }
+    }
+}
+
+/// A grid point beside a station.
 enum Corner {
     Outside,
     InObstacle,
