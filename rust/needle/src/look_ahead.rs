@@ -240,7 +240,9 @@ impl Executor<'_> {
             (first >= 0 && first + 4 <= count as i64).then_some(first as usize)
         };
         let mut sum = 0.0;
-        for (line, along) in (first(stations.along, lines)?..).zip(cubic_weights(stations.along - stations.along.floor())) {
+        for (line, along) in
+            (first(stations.along, lines)?..).zip(cubic_weights(stations.along - stations.along.floor()))
+        {
             let place = stations.place(line as f64);
             for (point, across) in (first(place, points)?..).zip(cubic_weights(place - place.floor())) {
                 let (i, j) = stations.point(line, point);
