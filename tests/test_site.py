@@ -47,7 +47,7 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.first
-@pytest.mark.slow
+@pytest.mark.study
 def test_the_site_builds(site: Path) -> None:
     html = site / "html"
     for page in (pages.ROOT / "docs").glob("*/*.md"):
@@ -77,7 +77,7 @@ def test_scenes_and_notebooks_run_and_show_pictures(tmp_path: Path) -> None:
 
 
 @pytest.mark.first
-@pytest.mark.slow
+@pytest.mark.study
 def test_a_table_of_peers_is_sorted_by_a_click(site: Path, browser: Browser) -> None:
     page = browser.new_page()
     page.goto((site / "html" / "validation" / "solvers.html").as_uri())

@@ -7,6 +7,7 @@ import math
 
 from needleplan.cli.estop import add_estop
 from needleplan.cli.options import add_answer, add_figure, add_limits, add_output, add_start
+from needleplan.cli.parser import Parser
 from needleplan.cli.uncertainty import add_uncertainty
 
 __all__ = ["add_insert_options"]
@@ -14,11 +15,11 @@ __all__ = ["add_insert_options"]
 _ROTATION_DEG_S = math.degrees(3.0)  # default speed of the needle's rotation
 
 
-def add_insert_options(parser: argparse.ArgumentParser) -> None:
+def add_insert_options(parser: Parser) -> None:
     """Declare the options, apart from those that all commands with a policy table have."""
     _add_devices(parser.add_argument_group("devices"))
     _add_plan(parser.add_argument_group("plan"))
-    add_uncertainty(parser.add_argument_group("uncertainty"), registration=False)
+    add_uncertainty(parser, registration=False)
     _add_safety(parser.add_argument_group("safety"))
     _add_motion(parser.add_argument_group("motion"))
     _add_mechanics(parser.add_argument_group("mechanics of the shaft"))

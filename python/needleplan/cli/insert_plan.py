@@ -9,7 +9,6 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from needleplan.cli.options import read_any_table
-from needleplan.cli.table_poses import poses_of
 from needleplan.cli.uncertainty import promise_lines, promised, read_error, read_model, read_uncertainty
 from needleplan.errors import InputError, Mistake, SweepError
 
@@ -133,7 +132,7 @@ class PlaneInsertPlan(InsertPlan):
         self.model = read_model(options.needle)
         scenario = Scenario.read(options.scenario) if options.scenario else None
         require_fitting(table, options.table, scenario, self.model)
-        self.start = poses_of(table).start(options.start)
+        self.start = _start(table, options)
 
     @property
     def expected_start(self) -> tuple[float, ...]:
@@ -195,7 +194,7 @@ class SpaceInsertPlan(InsertPlan):
     def __init__(self, table: SpaceTable, options: argparse.Namespace) -> None:
         self.table = table
         _refuse_plane_options(options)
-        self.start = poses_of(table).start(options.start)
+        self.start = _start(table, options)
 
     @property
     def expected_start(self) -> tuple[float, ...]:
@@ -305,6 +304,13 @@ def read_insert_table_set(options: argparse.Namespace, table: Table) -> Curvatur
         rule = f"has no table that differs from {options.table} in nothing but the curvature"
         raise SweepError(rule, options.table_set)
     return stored
+
+
+def _start(table: Table, options: argparse.Namespace) -> Any:
+    # Not at the top: planning takes a quarter of a second to import, which every other command would wait for.
+    from needleplan.cli.table_poses import poses_of
+
+    return poses_of(table).start(options.start)
 
 
 def _refuse_plane_options(options: argparse.Namespace) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import re
 import sys
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from decimal import Decimal, InvalidOperation
 from itertools import zip_longest
 from typing import Any, Never
@@ -29,6 +29,7 @@ class Parser(argparse.ArgumentParser):
         self._negative_number_matcher = _NEGATIVE
         self._renamed: dict[str, str] = {}
         self._switches: dict[str, str] = {}
+        self._deferred: list[Callable[[], None]] = []
         self.command_groups: Mapping[str, Sequence[str]] = {}
         """Names of the commands by title of their group in the help; empty: all in one group."""
         self.examples: Sequence[str] = ()
@@ -41,6 +42,17 @@ class Parser(argparse.ArgumentParser):
     def refuse_address(self, switch: str, instead: str) -> None:
         """Refuse an address (`SCHEME://...`) after an option without a value; the error names the option `instead`."""
         self._switches[switch] = instead
+
+    def defer(self, declare: Callable[[], None]) -> None:
+        """Call `declare` when the parser parses: it declares arguments and imports what other commands do without."""
+        self._deferred.append(declare)
+
+    def complete(self) -> None:
+        """Declare what is deferred, here and in all commands."""
+        while self._deferred:
+            self._deferred.pop(0)()
+        for command in self.commands().values():
+            command.complete()
 
     def commands(self) -> dict[str, Parser]:
         """Return the parsers of the commands by name; empty if there are none."""
@@ -78,6 +90,8 @@ class Parser(argparse.ArgumentParser):
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
         """Parse arguments. Exit with code 2 if an option is unknown, or if commands exist and no argument is given."""
+        while self._deferred:
+            self._deferred.pop(0)()
         given = sys.argv[1:] if args is None else list(args)
         if self.commands() and not given:
             self.print_help()

@@ -25,6 +25,7 @@ from needleplan.cli.options import (
     require_outputs,
     sign_key,
 )
+from needleplan.cli.parser import Parser
 from needleplan.cli.plan_space import run_plan_space
 from needleplan.cli.streams import one_line
 from needleplan.cli.uncertainty import (
@@ -72,7 +73,7 @@ class Replaced:
 
 def add_to(commands: Any) -> None:
     """Add this command and its options to the program's parser."""
-    parser: argparse.ArgumentParser = commands.add_parser(
+    parser: Parser = commands.add_parser(
         "plan",
         help="solve a scenario or an anatomy into a policy table",
         description="Solve a scenario, or an anatomy in 3D, into a policy table. Exit code 1: not converged, or the "
@@ -120,7 +121,7 @@ def add_to(commands: Any) -> None:
         action="store_true",
         help="of an anatomy: write each slice when it is solved, as for tables that need more than half of the memory",
     )
-    add_uncertainty(parser.add_argument_group("uncertainty"))
+    add_uncertainty(parser)
     add_edge(parser)
     add_figure(parser, "the path from the best entry and the success map")
     add_answer(parser)

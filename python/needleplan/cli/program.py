@@ -64,7 +64,7 @@ def run_command(arguments: Sequence[str] | None = None) -> int:
     wrong usage, and KeyboardInterrupt after Ctrl-C.
     """
     with contextlib.redirect_stderr(cast("TextIO", RemarkStream(sys.stderr))):
-        options = make_parser().parse_args(arguments)
+        options = _parser().parse_args(arguments)
         set_quiet(getattr(options, "quiet", False))
         try:
             with recorded_reads(), contextlib.redirect_stdout(cast("TextIO", AnswerStream(sys.stdout))):
@@ -92,7 +92,14 @@ def run_command(arguments: Sequence[str] | None = None) -> int:
 
 
 def make_parser() -> Parser:
-    """Return the parser of the whole program, with all commands."""
+    """Return the parser of the whole program, with all commands and all their arguments."""
+    parser = _parser()
+    parser.complete()
+    return parser
+
+
+def _parser() -> Parser:
+    """Return the parser of the whole program, whose commands declare some arguments when they parse."""
     parser = Parser(
         prog="needleplan",
         description="Plan, execute and diagnose the steering of flexible bevel-tip needles. Not a medical device.",

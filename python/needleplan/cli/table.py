@@ -187,7 +187,7 @@ def _add_entry(commands: Any) -> None:
     parser.add_argument(
         "--needle", metavar="MODEL.toml", help="model of the needle: also print the pose of its guide for this entry"
     )
-    add_uncertainty(parser.add_argument_group("uncertainty"))
+    add_uncertainty(parser)
     add_anatomy(parser, whole)
     add_output(parser, "MAP.csv", "write all entry points in 3D, best first")
     add_figure(parser, "the entry map in 3D, and slices with the best path")

@@ -7,10 +7,9 @@ import math
 from dataclasses import Field, fields
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from needleplan.cli.answer import note
 from needleplan.cli.options import numbers
+from needleplan.cli.parser import Parser
 from needleplan.errors import InputError, Mistake
 
 if TYPE_CHECKING:
@@ -38,18 +37,24 @@ _NAMES = {
 }
 
 
-def add_uncertainty(parser: argparse._ActionsContainer, *, registration: bool = True) -> None:
+def add_uncertainty(parser: Parser, *, registration: bool = True) -> None:
     """Declare an option for each number of `Uncertainty`, and, if `registration`, `--registration`, a file."""
+    group = parser.add_argument_group("uncertainty")
+    parser.defer(lambda: _declare(group, registration))
+
+
+def _declare(group: argparse._ArgumentGroup, registration: bool) -> None:
     for option, each in _options().items():
-        default = ",".join(f"{end:g}" for end in np.atleast_1d(np.array(each.default)))
-        is_pair = "," in default
+        ends = each.default if isinstance(each.default, tuple) else (each.default,)
+        default = ",".join(f"{end:g}" for end in ends)
+        is_pair = len(ends) > 1
         unit = each.name.rpartition("_")[2].upper()
-        parser.add_argument(
+        group.add_argument(
             option, type=str if is_pair else float, metavar="LOW,HIGH" if is_pair else unit,
             help=f"{each.metadata['about']} (default: {default})".replace("%", "%%"),
         )  # fmt: skip
     if registration:
-        parser.add_argument(
+        group.add_argument(
             "--registration", metavar="FILE", help="registration whose error, by its points, the promise includes"
         )
 

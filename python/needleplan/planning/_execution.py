@@ -64,7 +64,7 @@ class Path:
     >>> import needleplan as npl
     >>> table = npl.plan("four_obstacles")
     >>> table.path(npl.Pose.deg(0, 28, 18, -1))
-    <Path: target after 104.7 mm in 25 steps, 17 turns>
+    <Path: target after 104.7 mm in 25 steps, 16 turns>
     """
 
     poses: NDArray[np.float64]

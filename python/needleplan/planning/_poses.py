@@ -241,7 +241,7 @@ class Entry(Generic[PoseOf]):
     --------
     >>> import needleplan as npl
     >>> npl.plan("four_obstacles").best_entry()
-    <Entry: x 0 mm, y 23 mm, heading 30 deg, bevel -1; success 0.951, cost 889>
+    <Entry: x 0 mm, y 23 mm, heading 30 deg, bevel -1; success 0.951, cost 889.6>
     """
 
     pose: PoseOf
