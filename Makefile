@@ -38,18 +38,17 @@ python test-slow studies: export OPENBLAS_NUM_THREADS := 1
 # Collecting all tests for five would take longer than they do.
 REALTIME := $(shell grep --recursive --files-with-matches --include='test_*.py' '^@pytest.mark.realtime$$' tests)
 
-# The tests marked slow, and error bounds on hundreds of random problems.
+# The tests marked slow.
 test-slow: install-test
 	$(BIN)/python -m pytest -m "slow and not study" -n 2 --dist worksteal
 	$(BIN)/python -m pytest -m realtime $(REALTIME)
-	$(MAKE) bounds
 
 # Statistics of many runs: how often intervals hold, promises against executions, blind data sets, measured
-# insertions, the thesis, and the site with its scenes and notebooks; the numerical tests as on another kind of processor,
+# insertions, the thesis, and the site with its scenes and notebooks; bounds on hundreds of random problems; the numerical tests as on another kind of processor,
 # the oldest Rust, and instruction counts, which compile the solver twice where no counts of this processor are known.
 studies: install-test
 	$(BIN)/python -m pytest -m study -n 2 --dist worksteal
-	$(MAKE) --jobs=2 --output-sync=line processors msrv guard
+	$(MAKE) --jobs=2 --output-sync=line bounds processors msrv guard
 
 # The documentation site, in out/site/html.
 docs: install-test

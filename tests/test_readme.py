@@ -72,8 +72,8 @@ def test_make_plan(tmp_path: Path) -> None:
     [
         ("test", ("cargo fmt", "cargo clippy", "cargo test", "ruff check", "ruff format", "mypy", "lint-imports",
                   "stubtest"), "not slow and not study and not realtime"),
-        ("test-slow", ("cargo test",), "slow and not study"),
-        ("studies", ("scripts/processors", "rustup", "benches/guard"), "study"),
+        ("test-slow", (), "slow and not study"),
+        ("studies", ("scripts/processors", "rustup", "benches/guard", "--test bounds"), "study"),
     ],
 )  # fmt: skip
 def test_the_test_commands_run_everything(target: str, tools: tuple[str, ...], marker: str) -> None:

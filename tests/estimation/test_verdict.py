@@ -193,7 +193,7 @@ def test_a_damaged_registration_is_refused_with_its_reason(damage: str, tmp_path
     assert done.verdict.reasons == tuple(f"{refusal}" for refusal in done.refusals)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_no_sound_registration_of_a_hundred_is_refused(tmp_path: Path) -> None:
     assert all(measured(EIGHT, seed).registered(tmp_path).ok for seed in range(100))
 

@@ -77,6 +77,7 @@ def test_a_late_velocity_is_noticed(identified: Identification) -> None:
     assert not any("one amplitude" in each for each in identified.remarks)
 
 
+@pytest.mark.slow
 def test_the_figure_has_three_loops(identified: Identification) -> None:
     from matplotlib.figure import Figure
 

@@ -61,7 +61,7 @@ def test_local_processes(tmp_path: Path, sweep: Sweep) -> None:
     complete(tmp_path / "store", sweep)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_the_scheduler_is_lost_and_comes_back(tmp_path: Path, sweep: Sweep, cluster: DaskProcesses) -> None:
     scheduler, worker = cluster.scheduler(), cluster.worker()
 
@@ -94,7 +94,7 @@ def test_the_scheduler_is_lost_for_good(tmp_path: Path, sweep: Sweep, cluster: D
     complete(tmp_path / "store", sweep)
 
 
-@pytest.mark.slow  # Dask leaves connections to killed workers to the garbage collector
+@pytest.mark.study  # Dask leaves connections to killed workers to the garbage collector
 @pytest.mark.filterwarnings("ignore:.*<socket.socket:pytest.PytestUnraisableExceptionWarning")
 def test_many_tables_while_workers_come_and_go(tmp_path: Path, cluster: DaskProcesses) -> None:
     radii = [30.0 + number / 50 for number in range(15)]  # 30 tables; at most 4 for each thread are under way

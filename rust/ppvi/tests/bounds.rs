@@ -255,19 +255,19 @@ fn bounds_of_success_probabilities_hold() {
 }
 
 #[test]
-#[ignore = "slow: `make test-slow` runs it"]
+#[ignore = "slow: `make studies` runs it"]
 fn bounds_of_many_success_probabilities_hold() {
     check("success", FEW..FEW + many(), success_case);
 }
 
 #[test]
-#[ignore = "slow: `make test-slow` runs it"]
+#[ignore = "slow: `make studies` runs it"]
 fn bounds_of_many_random_tables_hold() {
     check("tabular", FEW..FEW + many(), tabular_case);
 }
 
 #[test]
-#[ignore = "slow: `make test-slow` runs it"]
+#[ignore = "slow: `make studies` runs it"]
 fn bounds_of_many_random_lattices_hold() {
     check("lattice", FEW..FEW + many(), lattice_case);
 }
