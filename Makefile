@@ -44,8 +44,9 @@ test-slow: install-test
 	$(BIN)/python -m pytest -m realtime $(REALTIME)
 
 # Statistics of many runs: how often intervals hold, promises against executions, blind data sets, measured
-# insertions, the thesis, and the site with its scenes and notebooks; bounds on hundreds of random problems; the numerical tests as on another kind of processor,
-# the oldest Rust, and instruction counts, which compile the solver twice where no counts of this processor are known.
+# insertions, the thesis, and the site with its scenes and notebooks; bounds on hundreds of random problems; the numerical
+# tests as on another kind of processor, the oldest Rust, and instruction counts, which compile the solver twice where no
+# counts of this processor are known.
 studies: install-test
 	$(BIN)/python -m pytest -m study -n 2 --dist worksteal
 	$(MAKE) --jobs=2 --output-sync=line bounds processors msrv guard
