@@ -33,7 +33,7 @@ def add_estop(parser: Any) -> None:
 
 
 def require_estop(command: str) -> EmergencyStop:
-    """Return the hook of a command. Raises InputError if the command names no program of this machine."""
+    """Return the emergency stop that runs a command. Raises InputError if this machine has no such program."""
     import shlex
     import shutil
 

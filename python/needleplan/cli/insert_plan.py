@@ -70,7 +70,7 @@ class InsertPlan(ABC):
         """Return the success of the plan from the start, from the same source as `plan` and `entry`."""
 
     def make_promise(self, options: argparse.Namespace) -> Iterator[str]:
-        """Compute the promise from the start under what the options and their files do not know; yield its lines."""
+        """Compute the promise from the start with the errors that the options and files state; yield its lines."""
         error = read_error(options.registration)
         planned_per_mm = 1 / self.table.scenario.needle.curvature_radius_mm if self.model else None
         self.promise = promised(self.table, read_uncertainty(options, error, self.model, planned_per_mm), self.start)
@@ -281,7 +281,7 @@ def read_insert_plan(options: argparse.Namespace) -> InsertPlan:
 
 
 def insert_plan_class(table: Table) -> type[Any]:
-    """Return the class of what an insertion takes from a table."""
+    """Return the `InsertPlan` of a table: `PlaneInsertPlan` or `SpaceInsertPlan`."""
     from needleplan.planning import PolicyTable, SpaceTable
 
     return {PolicyTable: PlaneInsertPlan, SpaceTable: SpaceInsertPlan}[type(table)]
