@@ -9,8 +9,8 @@ use std::sync::{Arc, Condvar, Mutex, PoisonError};
 use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
-use needleplan_guard::datagram::{Kind, LONGEST, Seal, SessionLimits};
-use needleplan_guard::hmac::Key;
+use needleplan_guard::datagram::{Kind, LONGEST, SessionLimits};
+use needleplan_guard::hmac::{Key, Seal};
 use needleplan_guard::session::{Message, Session};
 use needleplan_guard::supervisor::{Post, Rules, Supervisor, Timed};
 use pyo3::exceptions::{PyOSError, PyValueError};

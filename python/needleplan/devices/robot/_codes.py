@@ -39,6 +39,8 @@ class RobotKind(IntEnum):
 
     STATUS = 0x80
     ANSWER = 0x81
+    COMPACT = 0x82
+    """Status with numbers of 4 bytes, on a serial line."""
 
 
 class Result(IntEnum):
