@@ -45,7 +45,10 @@ def add_to(commands: Any) -> None:
         "unknown.",
     )
     parser.add_argument(
-        "--robot", required=True, metavar="URL", help="address of the robot: udp:// or canopen://, as for `insert`"
+        "--robot",
+        required=True,
+        metavar="URL",
+        help="address of the robot: udp://, serial:// or canopen://, as for `insert`",
     )
     parser.add_argument(
         "--within", type=float, default=WITHIN_S, metavar="S",

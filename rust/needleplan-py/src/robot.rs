@@ -44,7 +44,7 @@ fn socket_of(descriptor: i64) -> PyResult<UdpSocket> {
     Ok(UdpSocket::from(unsafe { OwnedSocket::from_raw_socket(descriptor) }))
 }
 
-fn spawned(name: &str, work: impl FnOnce() + Send + 'static) -> PyResult<JoinHandle<()>> {
+pub(crate) fn spawned(name: &str, work: impl FnOnce() + Send + 'static) -> PyResult<JoinHandle<()>> {
     thread::Builder::new().name(name.to_owned()).spawn(work).map_err(PyOSError::new_err)
 }
 

@@ -32,7 +32,7 @@ class Rig:
         self.server, self.stage = server, stage
         self.guard = GuardedStage(stage, LIMITS, accepted_limits="a busy machine")
         # The kernel notes times some milliseconds later. A datagram that came before has the time of its reading.
-        server._socket.setsockopt(socket.SOL_SOCKET, TIMESTAMPS, 1)
+        server._door._socket.setsockopt(socket.SOL_SOCKET, TIMESTAMPS, 1)
 
     def turn(self) -> None:
         stamp = Stamp(time.monotonic_ns(), time.monotonic_ns())
@@ -63,7 +63,7 @@ class Rig:
         """Yield what has arrived at the frozen robot, with its time of arrival (s, time of day)."""
         with contextlib.suppress(BlockingIOError):
             while True:
-                data, extra, _, _ = self.server._socket.recvmsg(2048, 64)
+                data, extra, _, _ = self.server._door._socket.recvmsg(2048, 64)
                 seconds, nanoseconds = struct.unpack("qq", extra[0][2]) if extra else (0, 0)
                 message = decode(data)
                 assert isinstance(message, RobotCommand)

@@ -50,7 +50,8 @@ def test_the_c_header_finds_the_same_frames(tmp_path: Path) -> None:
     drawn = random.Random(1)
     line = bytearray()
     for _ in range(3000):
-        frame = framed(drawn.randrange(256), bytes(drawn.choices(range(256), [256] + [1] * 255, k=drawn.randrange(113))))
+        datagram = bytes(drawn.choices(range(256), [256] + [1] * 255, k=drawn.randrange(113)))
+        frame = framed(drawn.randrange(256), datagram)
         cut = drawn.choice([len(frame)] * 4 + [drawn.randrange(len(frame))])
         line += frame[:cut] + drawn.choice([b"", b"", drawn.randbytes(drawn.randrange(200))])
     source = (ROOT / "rust/guard/tests/c/unframe.c").read_text()

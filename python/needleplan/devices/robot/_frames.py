@@ -1,8 +1,8 @@
 """Frames of a serial line to a robot, each of which carries one datagram.
 
-The content of a frame is the number of the sender, its complement, and the datagram. It is stuffed by COBS (Cheshire and
-Baker, "Consistent overhead byte stuffing", 1999), so that no byte of it is 0, and stands between two bytes 0. An answer
-and a status carry the number of their recipient.
+The content of a frame is the number of the sender, its complement, and the datagram. It is stuffed by COBS (Cheshire
+and Baker, "Consistent overhead byte stuffing", 1999), so that no byte of it is 0, and stands between two bytes 0. An
+answer and a status carry the number of their recipient.
 """
 
 from __future__ import annotations
