@@ -1,12 +1,13 @@
 """A serial cable between two pseudo-terminals, in a process of its own: paced as by 460,800 baud, and with faults.
 
-The process prints the paths of both ends. Each line on its standard input is a fault that lasts: `lose P` loses each byte
-with the probability P, `noise P` adds a random byte after each with P, `cut P` loses the second half of a piece with P,
-`garble 1` changes all bytes as a wrong speed does, `unplug 1` closes the end of the controller.
+The process prints the paths of both ends. Each line on its standard input is a fault that lasts: `lose P` loses each
+byte with the probability P, `noise P` adds a random byte after each with P, `cut P` loses the second half of a piece
+with P, `garble 1` changes all bytes as a wrong speed does, `unplug 1` closes the end of the controller.
 """
 
 from __future__ import annotations
 
+import contextlib
 import os
 import random
 import select
@@ -81,18 +82,14 @@ def _main(paced: bool) -> None:
         now_s = time.monotonic()
         passed_s, before_s = now_s - before_s, now_s
         for at, (master, _) in enumerate(ends):
-            try:
+            with contextlib.suppress(OSError):
                 waiting[at] += os.read(master, 4096) if len(waiting[at]) < 4096 else b""
-            except OSError:
-                pass
             room = int(credit[at]) if paced else len(waiting[at])
             piece, waiting[at] = waiting[at][:room], waiting[at][room:]
             credit[at] = min(credit[at] - len(piece) + passed_s * BYTES_S, BYTES_S * 0.002 + passed_s * BYTES_S)
             if piece and len(ends) == 2:
-                try:
+                with contextlib.suppress(OSError):
                     os.write(ends[1 - at][0], _disturbed(piece, faults, drawn))
-                except OSError:
-                    pass
 
 
 if __name__ == "__main__":
