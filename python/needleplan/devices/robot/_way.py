@@ -32,7 +32,9 @@ class RobotWay(Closing):
     def __init__(
         self, address: Address, host: str, port: int, line: _ppvi.RobotLine | None = None, lock: TextIO | None = None
     ) -> None:
-        self.address, self.host, self.port = address, host, port
+        self.address: Address = address
+        self.host: str = host
+        self.port: int = port
         self._line, self._lock = line, lock
 
     @property
