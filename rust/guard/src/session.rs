@@ -141,6 +141,12 @@ impl Session {
         }
     }
 
+    /// The session, with datagrams and commands counted so far: counters may begin anywhere, and wrap.
+    #[must_use]
+    pub fn counting_from(self, count: u32) -> Session {
+        Session { sequence: count, number: count, ..self }
+    }
+
     /// Number of the last command.
     #[must_use]
     pub fn last_number(&self) -> u32 {
