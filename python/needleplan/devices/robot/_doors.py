@@ -91,6 +91,7 @@ class PtyDoor(RobotDoor):
         self._set_speed()
         os.set_blocking(self._master, False)
         self._unframer = Unframer()
+        self._is_closed = False
         self.address = f"serial://{os.ttyname(self._slave)}"
 
     def fileno(self) -> int:
@@ -115,8 +116,10 @@ class PtyDoor(RobotDoor):
 
     def close(self) -> None:
         """Close both ends."""
-        os.close(self._slave)
-        os.close(self._master)
+        if not self._is_closed:
+            self._is_closed = True
+            os.close(self._slave)
+            os.close(self._master)
 
     def _set_speed(self) -> None:
         termios = self._termios
