@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import fcntl
 import shutil
 import subprocess
+import threading
 from collections import deque
 from collections.abc import Iterator
 from pathlib import Path
@@ -26,7 +28,7 @@ from needleplan.devices.robot._frames import framed
 from needleplan.devices.robot.conformance import CASES
 from needleplan.devices.robot.messages import Head, decode
 from needleplan.errors import AddressError, DeviceFault, LinkClosed
-from needleplan.line_owner import line_port
+from needleplan.line_owner import line_place, line_port
 from tests.devices.contract import StageContract, heard_and_read
 from tests.devices.robot.bench import Bench
 from tests.devices.robot.cable import BYTES_S, Cable
@@ -122,14 +124,20 @@ def test_garbage_of_a_wrong_speed_is_told(cable: Cable) -> None:
             RobotStage.open(cable.address, timing=RobotTiming(answer_s=0.3))
 
 
-def test_an_unplugged_line_is_told_and_its_robot_stops(cable: Cable) -> None:
-    timing = RobotTiming(silence_s=0.05, valid_s=10.0, answer_s=10.0, lost_s=10.0)
-    stage = RobotStage.open(cable.address, timing=timing)
-    stage.timing = PATIENT
-    moving(stage)
-    cable.fault("unplug", 1)
-    read_on(stage, LinkClosed, rf"robot: {cable.address}: the line was unplugged")
-    stage.close()
+def test_an_unplugged_line_is_told(cable: Cable) -> None:
+    with RobotStage.open(cable.address, timing=PATIENT) as stage:
+        moving(stage)
+        cable.fault("unplug", 1)
+        read_on(stage, LinkClosed, rf"robot: {cable.address}: the line was unplugged")
+
+
+def test_who_looks_for_the_owner_of_a_line_does_not_keep_it(server: RobotServer) -> None:
+    place = Path(line_place(server.address.removeprefix("serial://")))
+    open_way(server.address).close()
+    with place.open() as looking:
+        fcntl.flock(looking, fcntl.LOCK_SH)
+        threading.Timer(0.05, lambda: fcntl.flock(looking, fcntl.LOCK_UN)).start()
+        open_way(server.address).close()
 
 
 @pytest.mark.parametrize(("fault", "share"), [("lose", 0.0005), ("noise", 0.0005), ("cut", 0.02)])

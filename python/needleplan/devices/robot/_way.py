@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import os
+import time
 from collections.abc import Collection
 from pathlib import Path
 from typing import TextIO
 
 from needleplan import _ppvi
 from needleplan.devices._base import Closing
+from needleplan.devices._clock import Deadline, SystemClock
 from needleplan.devices._links import SerialLink
 from needleplan.devices._opening import Address
 from needleplan.devices.robot.messages import ROBOT_PORT
@@ -21,6 +23,7 @@ LINE_BAUD = 460_800
 """Speed (bit/s) of a serial line to a robot, by default: 400 compact statuses per second fill two thirds of it."""
 
 _LOCALHOST = "127.0.0.1"
+_LOOKED_AT_S = 0.2  # longest time (s) for which a program that looks for the owner of a line locks its file
 
 
 class RobotWay(Closing):
@@ -127,10 +130,14 @@ def _locked(path: str) -> TextIO:
         file = place.open("a", encoding="ascii")
     except OSError as error:
         raise DeviceFault(f"serial://{path}: {place} cannot be written: {error.strerror or error}") from error
-    try:
-        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        file.truncate(0)
-    except OSError:
-        file.close()
-        raise DeviceFault(f"serial://{path}: another program controls the robot on this line") from None
-    return file
+    patience = Deadline(SystemClock(), _LOOKED_AT_S)
+    while True:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            file.truncate(0)
+            return file
+        except OSError:
+            if patience.passed:
+                file.close()
+                raise DeviceFault(f"serial://{path}: another program controls the robot on this line") from None
+        time.sleep(_LOOKED_AT_S / 20)
