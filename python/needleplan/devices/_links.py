@@ -255,7 +255,12 @@ class SerialLink(Link):
             raise DeviceFault(f"serial://{path} cannot be opened: {error}") from error
 
     def hand_over(self) -> int:
-        """Return a descriptor of the open port, which belongs to the caller from now on; this link is then closed."""
+        """Return a descriptor of the open port, which belongs to the caller from now on; this link is then closed.
+
+        An adapter that collects received bytes, as those of FTDI do for 16 ms, is told to pass them on at once.
+        """
+        with contextlib.suppress(OSError, ValueError, AttributeError, NotImplementedError):  # a pseudo-terminal
+            self._port.set_low_latency_mode(True)
         descriptor = os.dup(self._port.fileno())  # the lock that keeps others out is that of the open port
         self.close()
         return descriptor

@@ -102,8 +102,8 @@ impl Unframer {
 
 /// Datagrams that wait for a line. They wait here, not in the operating system, so that a STOP overtakes them.
 ///
-/// A STOP discards all that waits but other STOPs. If the queue is full, the oldest datagram is discarded. A datagram that
-/// is lost is sent again by its sender, as on a network.
+/// A STOP discards all that waits but other STOPs. If the queue is full, the oldest datagram is discarded that is no STOP.
+/// A datagram that is lost is sent again by its sender, as on a network.
 pub struct LineQueue {
     frames: [([u8; LONGEST_FRAME], usize, bool); WAITING],
     count: usize,
@@ -135,8 +135,12 @@ impl LineQueue {
             self.keep_stops();
         }
         if self.count == WAITING {
-            self.remove_first();
             self.dropped += 1;
+            let oldest = self.frames.iter().position(|(_, _, is_stop)| !is_stop);
+            match oldest {
+                None if !is_stop => return,
+                _ => self.remove(oldest.unwrap_or(0)),
+            }
         }
         self.frames[self.count] = (bytes, size, is_stop);
         self.count += 1;
@@ -149,7 +153,7 @@ impl LineQueue {
         }
         let (frame, size, _) = self.frames[0];
         *bytes = frame;
-        self.remove_first();
+        self.remove(0);
         self.free_ns = now_ns.saturating_add(size as i64 * BITS * 1_000_000_000 / self.baud);
         size
     }
@@ -160,8 +164,8 @@ impl LineQueue {
         (self.count > 0).then_some(self.free_ns.saturating_sub(now_ns).max(0))
     }
 
-    fn remove_first(&mut self) {
-        self.frames.copy_within(1..self.count, 0);
+    fn remove(&mut self, place: usize) {
+        self.frames.copy_within(place + 1..self.count, place);
         self.count -= 1;
     }
 
