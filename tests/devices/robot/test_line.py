@@ -169,20 +169,31 @@ def test_addresses(tmp_path: Path) -> None:
     assert line_port(f"{tmp_path}/x") is None
 
 
-@pytest.mark.slow
-def test_the_robot_in_c_keeps_every_rule_on_a_line_of_460800_baud(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+ON_A_LINE = (
+    "statuses", "damaged", "busy", "key", "wrap", "deadlines", "stop", "stop-under-load", "foreign-stop", "witness",
+    "watchdog", "late-heartbeat",
+)  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    "only",
+    [pytest.param(ON_A_LINE, marks=pytest.mark.realtime, id="those of the line"),
+     pytest.param((), marks=pytest.mark.study, id="all")],
+)  # fmt: skip
+def test_the_robot_in_c_keeps_the_rules_on_a_line_of_460800_baud(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], only: tuple[str, ...]
 ) -> None:
     if shutil.which("cc") is None:
         pytest.skip("no C compiler here")
     (tmp_path / "robot.key").write_text(KEY.hex())
     with Cable() as joined, subprocess.Popen([robot_in_c(tmp_path), joined.robot, KEY.decode()]) as robot:
         try:
-            code = main(["check-robot", f"{joined.address}?key_file={tmp_path / 'robot.key'}", "--may-move", "2"])
+            words = [f"{joined.address}?key_file={tmp_path / 'robot.key'}", "--may-move", "2"]
+            code = main(["check-robot", *words, *(f"--only={name}" for name in only)])
         finally:
             robot.kill()
-    printed = capsys.readouterr()
-    assert (code, printed.out.splitlines()[-1]) == (0, f"{len(CASES)} of {len(CASES)} rules hold"), printed.out
+    printed, rules = capsys.readouterr(), len(only or CASES)
+    assert (code, printed.out.splitlines()[-1]) == (0, f"{rules} of {rules} rules hold"), printed.out
 
 
 def test_statuses_with_tags_to_a_controller_and_a_person_fit_the_line() -> None:
