@@ -92,14 +92,14 @@ def test_its_bytes_are_those_of_the_protocol() -> None:
     assert stop_datagram(3, 12345) == encode(expected)
     assert (bystander._MAGIC, bystander._VERSION) == (MAGIC, OLDEST_VERSION)
     assert (bystander._STOP, bystander._ANSWER) == (RobotKind.STOP, RobotKind.ANSWER)
-    assert bystander._STATUS == RobotKind.STATUS
     assert bystander._ACCEPTED == Result.ACCEPTED
     told = Answer(Head(0, 1, 1, 1, 0, 1), RobotKind.STOP, Result.ACCEPTED, RobotState.DISABLED)
     assert (len(encode(told)), len(encode(told, Seal(b"k" * 16)))) == bystander._ANSWER_SIZES
-    seen = status(Head(0, 1, 1, number=1), 1.5, velocity_mm_s=2.5, roll_rad=3.5)
-    seal = Seal(b"k" * 16)
-    assert (len(seen), len(encode(decode(seen), seal))) == bystander._STATUS_SIZES
-    assert bystander._MEASURED.unpack_from(seen, bystander._HEAD.size) == (1.5, 2.5, 3.5)
+    for kind in (RobotKind.STATUS, RobotKind.COMPACT):
+        seen = status(Head(0, 1, 1, number=1), 1.5, velocity_mm_s=2.5, roll_rad=3.5, compact=kind is RobotKind.COMPACT)
+        measured, sizes = bystander._STATUSES[kind]
+        assert (len(seen), len(encode(decode(seen), Seal(b"k" * 16)))) == sizes
+        assert measured.unpack_from(seen, bystander._HEAD.size) == (1.5, 2.5, 3.5)
     assert ROBOT_PORT == 5005
 
 
@@ -121,7 +121,7 @@ def status(head: Head, depth_mm: float, **changes: float) -> bytes:
     about = Head(0, 1, sent_ns, int(measured.pop("echo_ns", head.sent_ns)), 0, head.number, OLDEST_VERSION)
     fields = {name: measured[name] for name in ("velocity_mm_s", "roll_rad")}
     state = RobotStatus(about, depth_mm, **fields, velocity_rad_s=0.0, faults=Fault(0), state=RobotState.DISABLED,
-                        moving=bool(measured["moving"]))  # fmt: skip
+                        moving=bool(measured["moving"]), compact=bool(measured.get("compact")))  # fmt: skip
     return encode(state)
 
 

@@ -23,7 +23,8 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
 CRATE = ROOT / "rust" / "guard"
-TESTS = ("--lib", "--test", "properties", "--test", "session", "--test", "supervisor", "--test", "transitions")
+FILES = ("invariants", "line", "properties", "session", "supervisor", "transitions")
+TESTS = ("--lib", *(f"--test={name}" for name in FILES))
 
 # What is changed, and into what; `\1` and `\2` stay.
 CHANGES = [

@@ -23,7 +23,8 @@ enum {
     NPL_OLDEST_VERSION = 2, /* a capture side also obeys it: HELLO of version 2 begins a session of version 2 */
     NPL_PORT = 5005,
     NPL_TAG = 16,        /* bytes of a tag */
-    NPL_MOST = 112       /* bytes of the largest datagram */
+    NPL_MOST = 112,      /* bytes of the largest datagram */
+    NPL_FRAME = 117      /* bytes of the largest frame of a serial line */
 };
 
 /* Kinds of datagrams; those of the capture side have the highest bit. */
@@ -39,7 +40,8 @@ enum {
     NPL_HOME = 0x09,     /* a person has found the zero; with NPL_UNHOME, since version 3 */
     NPL_UNHOME = 0x0A,   /* the zero is lost; needs no deadline */
     NPL_STATUS = 0x80,
-    NPL_ANSWER = 0x81
+    NPL_ANSWER = 0x81,
+    NPL_COMPACT = 0x82   /* status with floats, on a serial line */
 };
 
 enum {
@@ -151,6 +153,21 @@ typedef struct {
     uint32_t crc;          /* 84 */
 } npl_status;
 
+/* Status of a serial line, 72 bytes, 200 to 400 times per second: that above, with floats of 4 bytes. */
+typedef struct {
+    npl_head head;
+    float depth_mm;        /* 40 */
+    float velocity_mm_s;   /* 44 */
+    float roll_rad;        /* 48 */
+    float velocity_rad_s;  /* 52 */
+    uint32_t faults;       /* 56 */
+    uint8_t state;         /* 60 */
+    uint8_t flags;         /* 61 */
+    uint16_t overruns;     /* 62 */
+    uint32_t missed;       /* 64 */
+    uint32_t crc;          /* 68 */
+} npl_compact;
+
 /* CRC-32 as zlib and Ethernet have it; bit by bit, because 88 bytes need no table. */
 static inline uint32_t npl_crc(const void *data, size_t length) {
     const uint8_t *byte = (const uint8_t *)data;
@@ -237,6 +254,74 @@ static inline int npl_check(const void *datagram, size_t length, uint8_t kind, s
         return 3;
     memcpy(&head, datagram, sizeof head);
     return head.kind == kind && head.size == size ? 0 : 3;
+}
+
+/* Return the double in 8 bytes of a datagram as a float, for a compiler whose double has 4 bytes (there, address the
+ * fields by their offsets). It is rounded toward 0; too large a number is infinite, one below 1.2e-38 is 0. */
+static inline float npl_single(const void *field) {
+    uint64_t bits;
+    uint32_t single;
+    int32_t exponent;
+    float value;
+    memcpy(&bits, field, 8);
+    exponent = (int32_t)(bits >> 52 & 0x7FF);
+    single = (uint32_t)(bits >> 32) & 0x80000000u;
+    if (exponent == 0x7FF)
+        single |= 0x7F800000u | (bits << 12 ? 0x400000u : 0);
+    else if (exponent > 1023 + 127)
+        single |= 0x7F800000u;
+    else if (exponent > 1023 - 127)
+        single |= (uint32_t)(exponent - 1023 + 127) << 23 | ((uint32_t)(bits >> 29) & 0x7FFFFFu);
+    memcpy(&value, &single, 4);
+    return value;
+}
+
+/* A serial line carries frames: sender and its complement, then the datagram, stuffed by COBS, between two bytes 0.
+ * `sender` is any number; an answer or status carries that of whom it is for. Write a frame into `out` (NPL_FRAME bytes)
+ * and return its size. */
+static inline size_t npl_frame(uint8_t sender, const void *datagram, size_t length, uint8_t *out) {
+    size_t code = 1, size = 2, at;
+    out[0] = 0;
+    for (at = 0; at < length + 2; ++at) {
+        uint8_t byte = at == 0 ? sender : at == 1 ? (uint8_t)~sender : ((const uint8_t *)datagram)[at - 2];
+        if (byte) {
+            out[size++] = byte;
+        } else {
+            out[code] = (uint8_t)(size - code);
+            code = size++;
+        }
+    }
+    out[code] = (uint8_t)(size - code);
+    out[size++] = 0;
+    return size;
+}
+
+/* Bytes of a line since the last byte 0; begin with {0}. */
+typedef struct {
+    uint8_t bytes[NPL_FRAME];
+    size_t size;
+} npl_unframer;
+
+/* Take the next byte of a line. If it ends a frame, return the size of its datagram, which then begins at bytes + 2,
+ * behind its sender; else 0. Check the datagram by npl_check. */
+static inline size_t npl_unframe(npl_unframer *line, uint8_t byte) {
+    size_t size = line->size, read = 0, written = 0;
+    if (byte) {
+        if (size < NPL_FRAME)
+            line->bytes[line->size++] = byte;
+        return 0;
+    }
+    line->size = 0;
+    while (read < size) {
+        size_t end = read + line->bytes[read];
+        if (end > size || size == NPL_FRAME)
+            return 0;
+        if (read)
+            line->bytes[written++] = 0;
+        while (++read < end)
+            line->bytes[written++] = line->bytes[read];
+    }
+    return written > 2 && (line->bytes[0] ^ line->bytes[1]) == 0xFF ? written - 2 : 0;
 }
 
 #endif

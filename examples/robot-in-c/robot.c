@@ -2,24 +2,22 @@
  *
  *     cc -std=c99 -Wall -Wextra -Werror -O2 -I../../docs/reference robot.c -o robot -lm && ./robot 5105 [KEY]
  *
- * Replace `axis_tick`, `axis_stop` and the sleep of `main` by your drives and your timer of 1 kHz. All else is the capture
- * side of the protocol, by its rules; KEY is a shared key of 16 to 64 characters. No memory is allocated.
+ * serves at UDP port 5105; `./robot /dev/ttyS1 [KEY]` at a serial line, with compact statuses. Replace `axis_tick`,
+ * `axis_stop` and the sleep of `main` by your drives and your timer of 1 kHz. All else is the capture side of the protocol,
+ * by its rules; KEY is a shared key of 16 to 64 characters. No memory is allocated.
  */
 #define _POSIX_C_SOURCE 200809L
-#include <arpa/inet.h>
-#include <fcntl.h>
 #include <math.h>
 #include <stdio.h>
-#include <stdlib.h>
-#include <sys/socket.h>
 #include <time.h>
-#include <unistd.h>
 
+#include "link.h"
 #include "needleplan_robot.h"
 #include "tag.h"
 
 #define MS 1000000ull
 #define ENDED 64
+#define LINE_NS 2500000ull /* time between two statuses on a line, for all recipients together */
 
 /* Times, which tests on a busy machine make longer. */
 #ifndef LONGEST_US
@@ -36,7 +34,7 @@ typedef struct {
 } axis_t;
 
 typedef struct {
-    struct sockaddr_in address;
+    peer_t peer;
     uint64_t until_ns, due_ns, echo_ns;
     uint32_t sequence, number;
     uint8_t version;
@@ -49,14 +47,13 @@ static const uint32_t SHORTEST_US = 5000;
 
 static axis_t axis[AXES];
 static npl_hello limits;              /* of the session */
-static struct sockaddr_in controller;
+static peer_t controller;
 static stopper_t stopper;             /* the last sender of a STOP without a session */
 static uint32_t session, sequence_in, number_in, accepted, statuses, answers, silence_us, missed, faults;
 static uint32_t ended[ENDED], ended_count;
-static uint64_t heard_ns, echo_ns, echo_in_ns, nonce, moved_ns;
+static uint64_t heard_ns, echo_ns, echo_in_ns, nonce, moved_ns, line_due_ns;
 static uint8_t state = NPL_STATE_DISABLED, homed = 1;
 static npl_answer last;               /* the answer to number_in */
-static int link_fd;
 static const char *key;
 
 static uint64_t now_ns(void) {
@@ -120,7 +117,7 @@ static npl_answer answer_to(const npl_head *head, uint64_t now, uint16_t result)
 }
 
 /* Send a sealed message; with a key, also its tag. Only what belongs to the session has the nonce of the session. */
-static void send_to(const struct sockaddr_in *to, const void *message, size_t size) {
+static void send_to(peer_t to, const void *message, size_t size) {
     uint8_t out[NPL_MOST], tag[NPL_TAG];
     memcpy(out, message, size);
     if (key) {
@@ -132,7 +129,7 @@ static void send_to(const struct sockaddr_in *to, const void *message, size_t si
         memcpy(out + size - 4, tag, NPL_TAG);
         npl_seal(out, size = tagged);
     }
-    (void)!sendto(link_fd, out, size, 0, (const struct sockaddr *)to, sizeof *to);
+    link_send(to, out, size);
 }
 
 /* Return whether the tag of a datagram is right: that of its session, for HELLO that of the nonce 0. */
@@ -144,7 +141,7 @@ static int is_authentic(const uint8_t *datagram, size_t size, uint8_t kind) {
     return memcmp(tag, datagram + size - NPL_TAG - 4, NPL_TAG) == 0;
 }
 
-static void send_status(const struct sockaddr_in *to, npl_head head, uint8_t version, uint64_t now) {
+static void send_status(peer_t to, npl_head head, uint8_t version, uint64_t now) {
     npl_status status = {0};
     int standing = now - moved_ns > 50 * MS;
     npl_begin(&head, NPL_STATUS, sizeof status);
@@ -161,21 +158,26 @@ static void send_status(const struct sockaddr_in *to, npl_head head, uint8_t ver
     if (version == NPL_OLDEST_VERSION)
         status.flags &= NPL_MOVING;
     status.missed = missed;
+    if (link_is_line) {
+        npl_compact compact = {status.head, (float)status.depth_mm, (float)status.velocity_mm_s, (float)status.roll_rad,
+                               (float)status.velocity_rad_s, faults, state, status.flags, 0, missed, 0};
+        compact.head.kind = NPL_COMPACT;
+        compact.head.size = sizeof compact;
+        npl_seal(&compact, sizeof compact);
+        send_to(to, &compact, sizeof compact);
+        return;
+    }
     npl_seal(&status, sizeof status);
     send_to(to, &status, sizeof status);
-}
-
-static int is_controller(const struct sockaddr_in *from) {
-    return from->sin_addr.s_addr == controller.sin_addr.s_addr && from->sin_port == controller.sin_port;
 }
 
 /* A limit of the session: what is asked, or the limit of the robot for 0. Negative if it is wider. */
 static double limit(double asked, double own) { return asked == 0 ? own : asked > 0 && asked <= own ? asked : -1; }
 
-static uint16_t hello(npl_hello asked, const struct sockaddr_in *from) {
+static uint16_t hello(npl_hello asked, peer_t from) {
     int given = asked.least_mm != 0 || asked.most_mm != 0;
     if (session)
-        return asked.head.session == session && is_controller(from) ? NPL_RESULT_ACCEPTED : NPL_RESULT_BUSY;
+        return asked.head.session == session && is_same(from, controller) ? NPL_RESULT_ACCEPTED : NPL_RESULT_BUSY;
     if (asked.head.session == 0)
         return NPL_RESULT_OLD_SESSION;
     for (int at = 0; at < ENDED; ++at)
@@ -199,7 +201,7 @@ static uint16_t hello(npl_hello asked, const struct sockaddr_in *from) {
     limits = asked;
     session = asked.head.session;
     nonce = now_ns() ^ (uint64_t)session << 32;
-    controller = *from;
+    controller = from;
     number_in = accepted = asked.head.number;
     sequence_in = asked.head.sequence;
     statuses = missed = 0;
@@ -259,7 +261,7 @@ static uint16_t execute(const npl_command *command, uint64_t now) {
     return NPL_RESULT_ACCEPTED;
 }
 
-static void receive(const uint8_t *datagram, size_t size, const struct sockaddr_in *from, uint64_t now) {
+static void receive(const uint8_t *datagram, size_t size, peer_t from, uint64_t now) {
     npl_command command;
     npl_answer answer;
     uint8_t kind = size > 5 ? datagram[5] : 0;
@@ -296,7 +298,7 @@ static void receive(const uint8_t *datagram, size_t size, const struct sockaddr_
     if (stops_for_any) {
         stop(session ? NPL_FAULT_FOREIGN_STOP : 0);
         stopper.sequence = stopper.until_ns > now ? stopper.sequence : 0;
-        stopper.address = *from;
+        stopper.peer = from;
         stopper.until_ns = now + 500 * MS;
         stopper.echo_ns = command.head.sent_ns;
         stopper.number = command.head.number;
@@ -305,7 +307,7 @@ static void receive(const uint8_t *datagram, size_t size, const struct sockaddr_
         send_to(from, &answer, sizeof answer);
         return;
     }
-    if (session == 0 || command.head.session != session || !is_controller(from)) {
+    if (session == 0 || command.head.session != session || !is_same(from, controller)) {
         int other = session && command.head.session == session;
         answer = answer_to(&command.head, now, other ? NPL_RESULT_BUSY : NPL_RESULT_OLD_SESSION);
         send_to(from, &answer, sizeof answer);
@@ -353,36 +355,37 @@ static void tick(double seconds, uint64_t now) {
         stop(NPL_FAULT_WATCHDOG);
     if (session && now - heard_ns > RELEASE_MS * MS)
         end_session();
-    if (session) {
-        npl_head head = {.session = session, .sequence = ++statuses, .echo_ns = echo_ns, .number = accepted};
-        head.held_us = (uint32_t)((now - echo_in_ns) / 1000);
-        send_status(&controller, head, limits.head.version, now);
-    }
+    if (link_is_line && now < line_due_ns)
+        return;
+    line_due_ns = line_due_ns + LINE_NS > now ? line_due_ns + LINE_NS : now;
     if (now < stopper.until_ns && now >= stopper.due_ns) {
         npl_head head = {.sequence = ++stopper.sequence, .echo_ns = stopper.echo_ns, .number = stopper.number};
         stopper.due_ns = now + 5 * MS;
-        send_status(&stopper.address, head, stopper.version, now);
+        send_status(stopper.peer, head, stopper.version, now);
+        if (link_is_line)
+            return;
+    }
+    if (session) {
+        npl_head head = {.session = session, .sequence = ++statuses, .echo_ns = echo_ns, .number = accepted};
+        head.held_us = (uint32_t)((now - echo_in_ns) / 1000);
+        send_status(controller, head, limits.head.version, now);
     }
 }
 
 int main(int count, char **words) {
-    struct sockaddr_in own = {.sin_family = AF_INET, .sin_addr.s_addr = htonl(INADDR_LOOPBACK)};
     uint64_t before = now_ns();
     key = count > 2 ? words[2] : NULL;
-    own.sin_port = htons((uint16_t)(count > 1 ? atoi(words[1]) : NPL_PORT));
-    link_fd = socket(AF_INET, SOCK_DGRAM, 0);
-    if (link_fd < 0 || bind(link_fd, (struct sockaddr *)&own, sizeof own) || fcntl(link_fd, F_SETFL, O_NONBLOCK)) {
+    if (link_open(count > 1 ? words[1] : "5005")) {
         perror("robot");
         return 1;
     }
     begin_ranges();
     for (;;) {
         uint8_t datagram[NPL_MOST];
-        struct sockaddr_in from;
-        socklen_t length = sizeof from;
-        ssize_t size;
-        while ((size = recvfrom(link_fd, datagram, sizeof datagram, 0, (struct sockaddr *)&from, &length)) >= 0)
-            receive(datagram, (size_t)size, &from, now_ns());
+        peer_t from;
+        size_t size;
+        while ((size = link_receive(datagram, &from)) > 0)
+            receive(datagram, size, from, now_ns());
         uint64_t now = now_ns();
         tick((double)(now - before) / 1e9, now);
         before = now;

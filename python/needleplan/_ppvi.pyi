@@ -44,6 +44,7 @@ __all__ = [
     "HeartbeatTimer",
     "Lattice",
     "RepeatedStop",
+    "RobotLine",
     "RobotSupervisor",
     "SolvedSpace",
     "Space",

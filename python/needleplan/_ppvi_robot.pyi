@@ -4,7 +4,7 @@ from typing import Literal, TypeAlias, final
 
 from needleplan._ppvi_guard import _GuardState
 
-__all__ = ["RobotSupervisor"]
+__all__ = ["RobotLine", "RobotSupervisor"]
 
 # Ages of stage, loop, force, pose and deadman switch (s), infinite if not watched; shallowest and deepest depth;
 # velocities inward and outward; roll
@@ -24,6 +24,22 @@ RobotMessage: TypeAlias = (
     | tuple[Literal[2], int, int]
     | tuple[Literal[3]]
 )
+
+@final
+class RobotLine:
+    """A serial line to a robot, which threads serve at a UDP port of this machine. It takes over the descriptor."""
+
+    def __new__(cls, descriptor: int, baud: int) -> RobotLine: ...
+    def close(self) -> None: ...
+    @property
+    def port(self) -> int: ...
+    @property
+    def failure(self) -> str | None:
+        """Why the line carries nothing any more."""
+
+    @property
+    def counts(self) -> tuple[int, int, int]:
+        """Received bytes, received datagrams, and datagrams for which the line had no room."""
 
 @final
 class RobotSupervisor:

@@ -31,14 +31,16 @@ _AGAIN_S = 0.01
 _SILENCE_S = 0.5
 
 # The oldest supported version, which every robot understands and repeats in its answer and its statuses
-_MAGIC, _VERSION, _STOP, _STATUS, _ANSWER, _ACCEPTED = b"NPLR", 2, 0x05, 0x80, 0x81, 0
+_MAGIC, _VERSION, _STOP, _ANSWER, _ACCEPTED = b"NPLR", 2, 0x05, 0x81, 0
 _HEAD = struct.Struct("<4sBBHIIQQII")
 _COMMAND = struct.Struct("<QddI")
 _RESULT = struct.Struct("<QBBH")
-_MEASURED = struct.Struct("<ddd")  # the begin of a status: depth, velocity, roll
 _CRC = struct.Struct("<I")
 _COMMAND_SIZE = _HEAD.size + _COMMAND.size + _CRC.size
-_ANSWER_SIZES, _STATUS_SIZES = (56, 72), (88, 104)  # bytes without and with a tag
+# Bytes of an answer without and with a tag; for each kind of status, its begin (depth, velocity, roll) and its bytes
+_ANSWER_SIZES = (56, 72)
+_STATUSES = {0x80: (struct.Struct("<ddd"), (88, 104)), 0x82: (struct.Struct("<fff"), (72, 88))}
+_SIZES = frozenset({*_ANSWER_SIZES, 72, 88, 104})
 
 
 class StopOutcome:
@@ -218,15 +220,16 @@ class _Attempt:
     def _take(self, datagram: bytes) -> None:
         """Take in an undamaged answer to, or a status after, one of the STOPs that were sent; drop all others."""
         size = len(datagram)
-        if size not in _ANSWER_SIZES + _STATUS_SIZES or zlib.crc32(datagram[:-4]) != _CRC.unpack(datagram[-4:])[0]:
+        if size not in _SIZES or zlib.crc32(datagram[:-4]) != _CRC.unpack(datagram[-4:])[0]:
             return
         magic, version, kind, stated, session, _, sent_ns, echo_ns, _, number = _HEAD.unpack_from(datagram)
         is_ours = session == 0 and echo_ns >= self.began_ns and 0 < number <= self._sent
         if not is_ours or (magic, version, stated) != (_MAGIC, _VERSION, size):
             return
         now_s = time.monotonic_ns() / 1e9
-        if kind == _STATUS and size in _STATUS_SIZES:
-            depth_mm, velocity_mm_s, roll_rad = _MEASURED.unpack_from(datagram, _HEAD.size)
+        measured, sizes = _STATUSES.get(kind, (None, ()))
+        if measured is not None and size in sizes:
+            depth_mm, velocity_mm_s, roll_rad = measured.unpack_from(datagram, _HEAD.size)
             self._procedure.see(now_s, depth_mm, velocity_mm_s, roll_rad, sent_ns / 1e9)
         elif kind == _ANSWER and size in _ANSWER_SIZES:
             _, asked, _, result = _RESULT.unpack_from(datagram, _HEAD.size)

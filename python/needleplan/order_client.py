@@ -1,7 +1,7 @@
 """An order of a person to a run of another terminal, over a local socket: the smallest client.
 
 `needleplan pause` must work on a machine that is busy with other programs, where each import costs time. So this module
-imports nothing of needleplan but `stopping`. `needleplan.control.OrderPort` is the other side.
+imports only small modules of needleplan. `needleplan.control.OrderPort` is the other side.
 
 A run that controls a robot listens at a datagram socket whose name follows from the address of the robot, in a folder
 that only the user may enter. A request `{"order": "pause", "by": NAME}` gets a reply `{"state", "rest", "refused"}`.
@@ -16,6 +16,7 @@ import socket
 import time
 import zlib
 
+from needleplan.line_owner import run_folder
 from needleplan.stopping import Rest
 
 __all__ = ["OrderReply", "order_place", "send_to"]
@@ -44,9 +45,9 @@ def order_place(scheme: str, host: str, port: int) -> str:
     scheme : str
         Scheme of the address of the robot, such as `udp`.
     host : str
-        Host of the address.
+        Host of the address; for `serial`, the path of the serial port.
     port : int
-        Port of the address.
+        Port of the address; for `serial`, 0.
 
     Returns
     -------
@@ -55,9 +56,9 @@ def order_place(scheme: str, host: str, port: int) -> str:
     if scheme == "udp":
         with contextlib.suppress(OSError, UnicodeError):  # an unknown host: no run controls a robot there
             host = str(socket.getaddrinfo(host, None)[0][4][0])
-    name = f"{zlib.crc32(f'{scheme}://{host}'.encode()):08x}-{port}"
-    folder = os.environ.get("XDG_RUNTIME_DIR") or os.environ.get("TMPDIR") or "/tmp"
-    return f"{folder}/needleplan-{os.getuid()}/{name}"
+    elif scheme == "serial":
+        host = os.path.realpath(host)
+    return f"{run_folder()}/{zlib.crc32(f'{scheme}://{host}'.encode()):08x}-{port}"
 
 
 def send_to(place: str, order: str, by: str, within_s: float) -> OrderReply | None:

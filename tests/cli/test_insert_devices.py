@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import shutil
 import socket
+import subprocess
 from collections.abc import Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -15,11 +17,13 @@ from needleplan.cli import main
 from needleplan.devices.ati import BoxSettings, NetFtBox, NetFtServer
 from needleplan.devices.endpoint import TcpEndpoint
 from needleplan.devices.ndi import AuroraDevice, SimulatedTool
-from needleplan.devices.robot import RobotLimits, RobotMachine, RobotServer, RobotStage, SteadyDrive
+from needleplan.devices.robot import RobotLimits, RobotMachine, RobotServer, RobotStage, SteadyDrive, open_way
 from needleplan.devices.sensor_processes import LabPlaces, TrackerLine
 from needleplan.simulation import Effects, Setup, SimulatedEntry
 from needleplan.simulation.lab_processes import RealTimeLab
 from tests.control.scenes import small_table
+from tests.devices.robot.cable import Cable
+from tests.devices.robot.robot_in_c import robot_in_c
 from tests.estimation.registrations import known
 
 # The machine of the tests may be busy: what is looked at here is not how fast it is.
@@ -53,12 +57,17 @@ def insert(folder: Path, robot: str, force: str, tracker: str, *more: str) -> in
     )  # fmt: skip
 
 
-@pytest.mark.realtime
-def test_the_same_loop_in_real_time(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def lab_setup() -> Setup:
     x, y, heading, _ = small_table().best_entry().pose
     effects = Effects(coil_offset_mm=2.0, tracker_noise_mm=0.05, force_noise_n=0.02)
-    setup = Setup(1 / 40, entry=SimulatedEntry(x, y, heading), effects=effects)
-    places = LabPlaces(tracker_line=TrackerLine.TCP)
+    return Setup(1 / 40, entry=SimulatedEntry(x, y, heading), effects=effects)
+
+
+@pytest.mark.realtime
+def test_the_same_loop_in_real_time_with_a_robot_on_a_serial_line(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    setup, places = lab_setup(), LabPlaces(tracker_line=TrackerLine.TCP, robot_line=True)
     with RealTimeLab(setup, 1, places, RobotLimits(longest_silence_s=10.0)) as lab:
         at = lab.addresses
         run = str(folder / "run.mcap")
@@ -74,6 +83,26 @@ def test_the_same_loop_in_real_time(folder: Path, capsys: pytest.CaptureFixture[
     assert again["same"]
     assert again["decisions"] == answer["steps"]
     assert main(["recording", "export", run, "--to", "hdf5", "-o", str(folder / "run.h5")]) == 0
+
+
+@pytest.mark.realtime
+def test_the_robot_in_c_on_a_serial_line_moves_the_needle_of_a_lab(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    if shutil.which("cc") is None:
+        pytest.skip("no C compiler here")
+    (folder / "c.toml").write_text(f"{PATIENT.replace('25.0', '20.0')}shallowest_mm = -20.0\nroll_rad = 100.0\n")
+    program = robot_in_c(tmp_path, "-DLONGEST_US=20000000u", "-DVALID_US=20000000u", "-DRELEASE_MS=60000u")
+    with ExitStack() as stack:
+        cable = stack.enter_context(Cable())
+        stack.callback(stack.enter_context(subprocess.Popen([program, cable.robot])).kill)
+        way = stack.enter_context(open_way(cable.address))
+        places = LabPlaces(tracker_line=TrackerLine.TCP)
+        at = stack.enter_context(RealTimeLab(lab_setup(), 1, places, follow=(way.host, way.port))).addresses
+        speeds = ("--speed", "15", "--rotation-speed-deg", "687", "--json", "--limits", str(folder / "c.toml"))
+        code = insert(folder, f"{at.robot}?watchdog_s=5&valid_s=1", at.force, at.tracker, *speeds)
+    said = capsys.readouterr()
+    assert (code, json.loads(said.out or "{}").get("ending")) == (0, "target"), said.err
 
 
 @dataclass(frozen=True)

@@ -230,7 +230,10 @@ def test_a_port_that_is_taken_is_one_clear_error(option: str, kind: socket.Socke
      (("--tracker-port", "8765"), ("needs --tracker-line tcp",)), (("--duration", "nan"), ("positive number",)),
      (("--longest-silence", "0"), ("from 0.005 to 60",)), (("--seed", "-1"), ("whole number",)),
      (("--host", "name.invalid"), ("name.invalid",)), (("--follow", ""), ("must begin with the kind of link",)),
-     (("--follow", "udp://name.invalid"), ("host = name.invalid",))],
+     (("--follow", "udp://name.invalid"), ("host = name.invalid",)),
+     (("--follow", "serial:///dev/nowhere"), ("--follow = serial:///dev/nowhere", "there is no such port")),
+     (("--follow", "udp://127.0.0.1:9", "--longest-silence", "1", "--robot-line", "pty"),
+      ("--longest-silence = 1: is that of the robot at --follow", "needs --robot-line udp"))],
 )  # fmt: skip
 def test_what_cannot_be_is_refused(arguments: tuple[str, ...], words: tuple[str, ...]) -> None:
     # If it is not refused, it ends.

@@ -24,7 +24,7 @@ from tests.recording.samples import wait_for
 # Modules that a stop may import besides those of a bare start of Python: 10 ms in all on a machine of 2026.
 _ALLOWED = {
     "needleplan", "needleplan.bystander", "needleplan.cli", "needleplan.cli.estop", "needleplan.cli.stop",
-    "needleplan.stopping", "__future__", "_collections",
+    "needleplan.line_owner", "needleplan.stopping", "__future__", "fcntl", "_collections",
     "_collections_abc", "_functools", "_operator", "_socket", "_stat", "_struct", "array", "collections",
     "collections.abc", "enum", "errno", "functools", "genericpath", "itertools", "keyword", "math", "operator",
     "os", "os.path", "posixpath", "reprlib", "select", "selectors", "signal", "socket", "stat", "struct", "types",

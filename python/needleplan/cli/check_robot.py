@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import argparse
-from dataclasses import asdict
-from typing import Any
+from dataclasses import asdict, replace
+from typing import TYPE_CHECKING, Any
 
 from needleplan.cli.answer import complain, note, print_json
 from needleplan.cli.estop import MOVES
 from needleplan.cli.interrupt import needle_measured, needle_moves, needle_unmeasured
 from needleplan.cli.options import add_answer
-from needleplan.errors import DeviceFault, InputError, Mistake
+from needleplan.errors import AddressError, DeviceFault, InputError, Mistake
+
+if TYPE_CHECKING:
+    from needleplan.devices.robot.conformance import RobotBench
 
 __all__ = ["add_to"]
 
@@ -25,7 +28,10 @@ def add_to(commands: Any) -> None:
         "everything, and stand at the emergency stop. Exit code 1: a rule is broken; 3: the needle moves, or its rest "
         "is unknown.",
     )
-    parser.add_argument("address", metavar="ADDRESS", help="address of the robot: udp://HOST[:PORT][?key_file=FILE]")
+    parser.add_argument(
+        "address", metavar="ADDRESS",
+        help="address of the robot: udp://HOST[:PORT][?key_file=FILE], or serial:///dev/ttyUSB0[?baud=460800]",
+    )  # fmt: skip
     parser.add_argument(
         "--may-move", type=float, required=True, metavar="MM",
         help="how far the test may move the needle from its present depth, mm: 1 to 10, or -10 to -1 outwards; and "
@@ -39,7 +45,7 @@ def add_to(commands: Any) -> None:
 def _run(options: argparse.Namespace) -> int:
     from needleplan.config import suggestion
     from needleplan.devices.robot import stop_robot
-    from needleplan.devices.robot.conformance import CASES, ConformanceVerdict, open_bench, try_cases
+    from needleplan.devices.robot.conformance import CASES, open_bench
 
     unknown = [Mistake("--only", name, f"is not a case{suggestion(name, CASES)}") for name in options.only
                if name not in CASES]  # fmt: skip
@@ -54,15 +60,27 @@ def _run(options: argparse.Namespace) -> int:
 
     try:
         bench = open_bench(options.address, options.may_move)
+    except AddressError as error:
+        keys = {"may_move_mm": "--may-move"}
+        raise AddressError([replace(each, key=keys.get(each.key, each.key)) for each in error.mistakes]) from None
     except DeviceFault as fault:
         hint = "" if "no answer" not in str(fault) else ": is a robot there, free, and with this key or none?"
         return complain(f"{str(fault) if options.address in str(fault) else f'{options.address}: {fault}'}{hint}")
-    motion, outcomes = bench.motion, []
+    motion = bench.motion
     note(
         f"moves the needle from {motion.start_mm:.2f} mm to {motion.far_mm:.2f} mm, at most {motion.speed_mm_s:g} mm/s,"
         f" and by {motion.roll_range_rad:g} rad to both sides"
     )
     needle_unmeasured(stop)
+    with bench:
+        return _tried(options, bench)
+
+
+def _tried(options: argparse.Namespace, bench: RobotBench) -> int:
+    """Try the cases, print their outcomes, and return the exit code."""
+    from needleplan.devices.robot.conformance import ConformanceVerdict, try_cases
+
+    outcomes = []
     for case in try_cases(bench, options.only):
         outcomes.append(case)
         if not options.json:

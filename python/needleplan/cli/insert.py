@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 
 __all__ = ["add_to", "run"]
 
-_SIM, _UDP, _RECORDING = "sim://", "udp://", ".mcap"
+_SIM, _ROBOTS, _RECORDING = "sim://", ("udp://", "serial://"), ".mcap"
 _REFUSED = 2  # exit code: refused before anything moved, or a device failed
 
 
@@ -90,7 +90,7 @@ def run(options: argparse.Namespace) -> int:
     if not simulated and not options.registration:
         rule = "is missing: real devices require a registration; see `needleplan register`"
         raise AddressError(Mistake("--registration", "", rule))
-    if not simulated and robot.startswith(_UDP):
+    if not simulated and robot.startswith(_ROBOTS):
         require_prompt(robot)
     if simulated and options.deadman:
         rule = "needs real time: the simulated lab of sim:// has its own time; see `needleplan lab`"

@@ -37,7 +37,7 @@ def add_insert_options(parser: Parser) -> None:
 
 def _add_devices(group: argparse._ArgumentGroup) -> None:
     for name, noun, schemes in (
-        ("robot", "robot", "udp:// or canopen://"),
+        ("robot", "robot", "udp://, serial:// or canopen://"),
         ("force-sensor", "force sensor", "udp://"),
         ("tracker", "tracker", "serial://, tcp:// or igtl://"),
     ):

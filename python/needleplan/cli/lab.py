@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import signal
 import sys
 import threading
@@ -14,7 +15,7 @@ from needleplan.cli.answer import complain, note, print_json, print_summary
 from needleplan.cli.interrupt import handled_signals
 from needleplan.cli.options import add_answer, add_output, add_start, require_outputs, require_table
 from needleplan.cli.parser import Parser, whole
-from needleplan.errors import InputError, Mistake
+from needleplan.errors import DeviceFault, InputError, Mistake
 
 if TYPE_CHECKING:
     from needleplan.estimation.registration import Registration
@@ -53,6 +54,10 @@ def add_to(commands: Any) -> None:
         "--robot-port", type=whole, default=0, metavar="N", help="UDP port of the robot (default: a free one)"
     )
     parser.add_argument(
+        "--robot-line", choices=("udp", "pty"), default="udp",
+        help="connection of the robot: UDP, or the pseudo-terminal of a serial line (default: udp)",
+    )  # fmt: skip
+    parser.add_argument(
         "--force-port", type=whole, default=0, metavar="N", help="UDP port of the force sensor (default: a free one)"
     )
     parser.add_argument(
@@ -73,7 +78,7 @@ def add_to(commands: Any) -> None:
     )  # fmt: skip
     parser.add_argument(
         "--follow", metavar="ADDRESS",
-        help="move the needle with the robot at this address (udp://HOST[:PORT]); the printed address of the robot "
+        help="move the needle with the robot at this address (udp://, serial://); the printed address of the robot "
         "is a relay to it, which its controller must use",
     )  # fmt: skip
     parser.add_argument("--key-file", metavar="FILE", help="shared key that the robot requires, in hexadecimal digits")
@@ -87,8 +92,7 @@ def add_to(commands: Any) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Run the command and return the exit code: 1 if all processes of the lab have ended by themselves, else 0."""
-    from needleplan.devices import Address, open_link
-    from needleplan.devices.robot import RobotLimits, read_key, robot_place
+    from needleplan.devices.robot import RobotLimits, read_key
     from needleplan.devices.sensor_processes import LabPlaces, TrackerLine
     from needleplan.simulation import Simulation, tip_noise_remark
     from needleplan.simulation.lab_processes import RealTimeLab
@@ -104,21 +108,18 @@ def run(options: argparse.Namespace) -> int:
         _registration(setup).write(options.output)
     places = LabPlaces(
         options.host, options.robot_port, options.force_port, options.http_port, TrackerLine(options.tracker_line),
-        options.tracker_port,
+        options.tracker_port, options.robot_line == "pty",
     )  # fmt: skip
     # A controller on a busy machine needs long deadlines as well as a long silence.
     longest_valid_s = max(RobotLimits.longest_valid_s, options.longest_silence)
     limits = RobotLimits(longest_silence_s=options.longest_silence, longest_valid_s=longest_valid_s)
     key = read_key(options.key_file) if options.key_file else None
-    follow = None
-    if options.follow is not None:
-        follow = robot_place(options.follow, ())[1]
-        open_link(Address("udp", *follow)).close()  # raises AddressError for an unknown host
     # The signals are caught before the first process starts, so no process is left behind.
     ending = threading.Event()
     with (
+        contextlib.ExitStack() as stack,
         handled_signals(lambda _: ending.set()),
-        _started(lambda: RealTimeLab(setup, seed, places, limits, key, follow)) as lab,
+        _started(lambda: RealTimeLab(setup, seed, places, limits, key, _followed(options, stack))) as lab,
     ):
         _print(options, simulation, seed, lab)
         all_died = _serve(lab, ending, options.duration_s)
@@ -128,9 +129,24 @@ def run(options: argparse.Namespace) -> int:
             f"served {robot.ticks:,} ticks, {robot.overruns:,} of them late, the worst by "
             f"{1e3 * robot.worst_overrun_s:.3g} ms"
         )
-        if follow and not robot.statuses:
+        if options.follow is not None and not robot.statuses:
             note(f"warning: {options.follow} has sent no status: the needle has followed no robot")
     return complain("all processes of the lab have ended") if all_died else 0
+
+
+def _followed(options: argparse.Namespace, stack: contextlib.ExitStack) -> tuple[str, int] | None:
+    """Return host and port of the robot at `--follow`, whose way `stack` closes; None without the option."""
+    from needleplan.devices import Address, open_link
+    from needleplan.devices.robot import open_way
+
+    if options.follow is None:
+        return None
+    try:
+        way = stack.enter_context(open_way(options.follow, ()))
+    except DeviceFault as fault:
+        raise InputError(Mistake("--follow", options.follow, str(fault))) from fault
+    open_link(Address("udp", way.host, way.port)).close()  # raises AddressError for an unknown host
+    return way.host, way.port
 
 
 def _planned(simulation: Simulation, options: argparse.Namespace) -> Setup:
@@ -200,6 +216,8 @@ def _print(options: argparse.Namespace, simulation: Simulation, seed: int, lab: 
 
 
 def _require(options: argparse.Namespace) -> None:
+    from needleplan.devices.robot import RobotLimits
+
     mistakes = []
     if options.seed is not None and not 0 <= options.seed < 2**32:
         mistakes.append(Mistake("--seed", f"{options.seed}", "must be a whole number from 0, below 2^32"))
@@ -213,6 +231,13 @@ def _require(options: argparse.Namespace) -> None:
         mistakes.append(
             Mistake("--key-file", options.key_file, "is that of the robot at --follow, and of its controller")
         )
+    if options.follow is not None and options.longest_silence != RobotLimits.longest_silence_s:
+        mistakes.append(
+            Mistake("--longest-silence", f"{options.longest_silence:g}", "is that of the robot at --follow")
+        )
+    for option, value in (("--follow", options.follow), ("--robot-port", options.robot_port or None)):
+        if value is not None and options.robot_line == "pty":
+            mistakes.append(Mistake(option, f"{value}", "needs --robot-line udp"))
     if options.start is not None and not options.table:
         mistakes.append(Mistake("--start", options.start, "needs --table"))
     if options.tracker_port and options.tracker_line == "pty":

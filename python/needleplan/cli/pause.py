@@ -55,10 +55,10 @@ def add_to(commands: Any) -> None:
 def order_at_once(words: Sequence[str]) -> int | None:
     """Run `needleplan pause` or `resume`, the first of the words, and return the exit code.
 
-    Returns None, without an order, if the others are not the plain address of a robot and the options of the command.
+    Returns None, without an order, unless the others are the plain UDP address of a robot and options of the command.
     """
     found = plain_options(words[1:], ("--robot", "--within", "--by"), _WITHIN_S)
-    if found is None:
+    if found is None or found.url.startswith("serial:"):
         return None
     reply = send_to(order_place("udp", found.host, found.port), words[0], found.by, found.within_s)
     answer = _answer_pause if words[0] == "pause" else _answer_resume

@@ -38,7 +38,10 @@ def add_to(commands: Any) -> None:
         "before the depth; 2: refused, nothing moved; 3: the needle moves, or its rest is unknown.",
     )
     parser.add_argument(
-        "--robot", required=True, metavar="URL", help="address of the robot: udp:// or canopen://, as for `insert`"
+        "--robot",
+        required=True,
+        metavar="URL",
+        help="address of the robot: udp://, serial:// or canopen://, as for `insert`",
     )
     parser.add_argument("--depth", type=float, default=0.0, metavar="MM", help="depth to retract to, mm (default: 0)")
     parser.add_argument(
@@ -83,7 +86,7 @@ def run(options: argparse.Namespace) -> int:
                 stack.callback(hook.finish)
                 switch = options.hold_to_run
                 deadman = stack.enter_context(open_deadman(switch, "--hold-to-run")) if switch else None
-                if is_shared := options.robot.strip().startswith("udp:"):
+                if is_shared := options.robot.strip().startswith(("udp:", "serial:")):
                     # Nobody has to have control for this stop, and it ends the run of another controller.
                     _require_rest(options, hook, lambda tell: stop_stage(options.robot, _STOP_S, tell))
                 stage = open_stage_patiently(options.robot, options.wait, _note_waiting)

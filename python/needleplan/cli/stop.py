@@ -1,8 +1,8 @@
 """`needleplan stop`: a person stops the needle, whoever moves it.
 
 A machine that is busy with other programs takes seconds to import the whole program. So `main` calls `stop_at_once`
-first, which stops a robot (`udp://`) with the few modules that this file imports. It leaves all other words (`--help`,
-mistakes, `canopen://`) to the whole program.
+first, which stops a robot (`udp://`, or `serial://` if another program owns the line) with the few modules that this
+file imports. It leaves all other words (`--help`, mistakes, `canopen://`) to the whole program.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ import sys
 
 from needleplan.bystander import WITHIN_S, send_stop, stop
 from needleplan.cli.estop import MOVES, EmergencyStop, say
+from needleplan.line_owner import line_port
 from needleplan.stopping import Rest
 
 TYPE_CHECKING = False  # `typing` takes longer to import than all of this module
@@ -45,7 +46,10 @@ def add_to(commands: Any) -> None:
         "unknown.",
     )
     parser.add_argument(
-        "--robot", required=True, metavar="URL", help="address of the robot: udp:// or canopen://, as for `insert`"
+        "--robot",
+        required=True,
+        metavar="URL",
+        help="address of the robot: udp://, serial:// or canopen://, as for `insert`",
     )
     parser.add_argument(
         "--within", type=float, default=WITHIN_S, metavar="S",
@@ -74,7 +78,8 @@ def stop_at_once(words: Sequence[str]) -> int | None:
         hook.finish()
     if outcome.is_confirmed:
         return _say_stopped(found.url, outcome, "json" in found.switches)
-    return _complain(outcome.why_not(f"udp://{found.host}:{found.port}"))
+    is_line = found.url.startswith("serial:")
+    return _complain(outcome.why_not(found.url if is_line else f"udp://{found.host}:{found.port}"))
 
 
 def run(options: argparse.Namespace) -> int:
@@ -145,8 +150,14 @@ def plain_options(words: Sequence[str], names: tuple[str, ...], within_s: float)
 
 
 def _plain_place(url: str) -> tuple[str, int] | None:
-    """Return host and port of the plain address of a robot; None for all others."""
+    """Return host and port of the plain address of a robot; None for all others.
+
+    For a robot on a serial line that a program owns, these are the host and port at which that program serves it.
+    """
     scheme, _, rest = url.partition("://")
+    if scheme == "serial":
+        line = line_port(rest.partition("?")[0]) if url.isascii() and url.isprintable() else None
+        return None if line is None else ("127.0.0.1", line)
     host, colon, port = rest.partition("?")[0].removesuffix("/").partition(":")
     is_plain = host and _PLAIN.issuperset(host) and url.isascii() and url.isprintable()
     if scheme != "udp" or not is_plain or not (port.isdigit() or not colon):

@@ -30,6 +30,8 @@ _PORT = 5005  # port of a robot without one in its address
 
 def _place(robot: str) -> str:
     parsed = Address.parse(robot)
+    if parsed.scheme == "serial":
+        return order_place(parsed.scheme, parsed.path, 0)
     return order_place(parsed.scheme, parsed.host, parsed.port or _PORT)
 
 

@@ -7,6 +7,7 @@ links (TCP, serial) deliver bytes as they arrive. The protocols are in other mod
 from __future__ import annotations
 
 import contextlib
+import os
 import queue
 import socket
 import time
@@ -252,6 +253,17 @@ class SerialLink(Link):
             self._port = serial.Serial(path, baud, timeout=0, write_timeout=2.0, exclusive=True)
         except (OSError, ValueError) as error:  # SerialException is an OSError
             raise DeviceFault(f"serial://{path} cannot be opened: {error}") from error
+
+    def hand_over(self) -> int:
+        """Return a descriptor of the open port, which belongs to the caller from now on; this link is then closed.
+
+        An adapter that collects received bytes, as those of FTDI do for 16 ms, is told to pass them on at once.
+        """
+        with contextlib.suppress(OSError, ValueError, AttributeError, NotImplementedError):  # a pseudo-terminal
+            self._port.set_low_latency_mode(True)
+        descriptor = os.dup(self._port.fileno())  # the lock that keeps others out is that of the open port
+        self.close()
+        return descriptor
 
     @property
     def baud(self) -> int:

@@ -215,7 +215,7 @@ def open_station(robot: str, force: str, tracker: str, motion: MotionLimits | No
     tracker : str
         Address of the tracker.
     motion : MotionLimits, optional
-        Limits that a robot (`udp://`) is asked for, for its session. Default: the limits of the robot.
+        Limits that a robot (`udp://`, `serial://`) is asked for, for its session. Default: the limits of the robot.
 
     Returns
     -------
@@ -235,7 +235,7 @@ def open_station(robot: str, force: str, tracker: str, motion: MotionLimits | No
         # The stage is opened last, so that no device that can move is enabled while another one is being opened.
         force_sensor = _opened(_FORCES, force, opened)
         opened_tracker = _opened(_TRACKERS, tracker, opened)
-        robots = {**_ROBOTS, "udp": lambda address: _robot(address, motion)}
+        robots = {**_ROBOTS, **dict.fromkeys(("udp", "serial"), lambda address: _robot(address, motion))}
         stage = _opened(robots, robot, opened)
         opened.pop_all()
     return Station(stage, force_sensor, opened_tracker, SystemClock())
@@ -298,8 +298,8 @@ def stop_stage(
 ) -> StopOutcome:
     """Stop both axes of the stage at an address, whoever controls it, until the needle is measured at rest.
 
-    A robot (`udp://`) is stopped without taking control: the stop is sent again and again. Drives (`canopen://`) are
-    opened for the stop.
+    A robot (`udp://`, `serial://`) is stopped without taking control: the stop is sent again and again. Drives
+    (`canopen://`) are opened for the stop.
 
     Parameters
     ----------
@@ -323,7 +323,7 @@ def stop_stage(
     DeviceFault
         The stage cannot be used, or the needle is not measured at rest within `within_s`.
     """
-    if _scheme_of_robot(address) == "udp":
+    if _scheme_of_robot(address) != "canopen":
         from needleplan.devices.robot import stop_robot
 
         return stop_robot(address, within_s, on_alarm)
@@ -386,6 +386,6 @@ def _igtl(address: str) -> Tracker:
     return IgtlTracker.open(address)
 
 
-_ROBOTS: dict[str, Callable[[str], Stage]] = {"udp": _robot, "canopen": _drives}
+_ROBOTS: dict[str, Callable[[str], Stage]] = {"udp": _robot, "canopen": _drives, "serial": _robot}
 _FORCES: dict[str, Callable[[str], ForceSensor]] = {"udp": _net_ft}
 _TRACKERS: dict[str, Callable[[str], Tracker]] = {"serial": _ndi, "tcp": _ndi, "igtl": _igtl}

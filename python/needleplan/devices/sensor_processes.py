@@ -73,6 +73,8 @@ class LabPlaces:
 
     tracker_line: TrackerLine = TrackerLine.PTY
     tracker_port: int = 0
+    robot_line: bool = False
+    """Whether the robot is offered at a pseudo-terminal instead of a UDP port."""
 
 
 @dataclass(frozen=True)

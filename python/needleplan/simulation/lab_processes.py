@@ -135,7 +135,7 @@ def serve_robot(
 
     def place() -> RobotServer | RobotRelay:
         if follow is None:
-            return RobotServer(machine, places.host, places.robot_port)
+            return RobotServer(machine, places.host, places.robot_port, line=places.robot_line)
         return RobotRelay(follow, seen, drive.advance, places.host, places.robot_port)
 
     def seen(status: RobotStatus) -> None:

@@ -1,6 +1,6 @@
 //! The datagrams of the robot protocol as a controller sends and receives them (docs/reference/robot-protocol.md).
 
-use crate::hmac::Key;
+use crate::hmac::{Seal, TAG};
 
 /// Version of the protocol that a controller speaks, and the oldest that it understands.
 pub const VERSION: u8 = 3;
@@ -13,9 +13,9 @@ pub const RESULTS: u16 = 15;
 
 const MAGIC: &[u8; 4] = b"NPLR";
 const HEAD: usize = 40;
-const TAG: usize = 16;
 const CRC: usize = 4;
 const STATUS: u8 = 0x80;
+const COMPACT: u8 = 0x82;
 const ANSWER: u8 = 0x81;
 
 /// Kind of a datagram that a controller sends.
@@ -116,7 +116,7 @@ pub enum Body {
     },
 }
 
-/// State of the robot, sent 1000 times per second.
+/// State of the robot, sent 1000 times per second; on a serial line, with numbers of 4 bytes, at least 200 times.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Status {
     /// Head; `number` is that of the last accepted command.
@@ -194,22 +194,6 @@ pub enum Received {
     Malformed,
     /// An undamaged datagram without the right tag.
     NotAuthentic,
-}
-
-/// Key of a session, with its nonce: 0 before the answer to HELLO.
-#[derive(Clone)]
-pub struct Seal {
-    /// The key.
-    pub key: Key,
-    /// The nonce.
-    pub nonce: u64,
-}
-
-impl Seal {
-    fn tag(&self, nonce: u64, begin: &[u8]) -> [u8; TAG] {
-        let digest = self.key.digest(&nonce.to_le_bytes(), begin);
-        core::array::from_fn(|place| digest[place])
-    }
 }
 
 const fn crc_table() -> [u32; 256] {
@@ -306,20 +290,28 @@ fn float(bytes: &[u8], place: usize) -> f64 {
     f64::from_le_bytes(at(bytes, place))
 }
 
+fn single(bytes: &[u8], place: usize) -> f64 {
+    f64::from(f32::from_le_bytes(at(bytes, place)))
+}
+
 fn short(bytes: &[u8], place: usize) -> u16 {
     u16::from_le_bytes(at(bytes, place))
+}
+
+/// Whether these are the bytes of an undamaged datagram of any version.
+#[must_use]
+pub fn is_sound(datagram: &[u8]) -> bool {
+    let signed = datagram.len().saturating_sub(CRC);
+    signed >= 6 && datagram.starts_with(MAGIC) && crc32(&datagram[..signed]) == number(datagram, signed)
 }
 
 /// Read a datagram. With a `seal`, its tag must be that of the session; an answer may have that of the nonce 0.
 #[must_use]
 pub fn decode(datagram: &[u8], seal: Option<&Seal>) -> Received {
-    if datagram.len() < 6 + CRC || !datagram.starts_with(MAGIC) {
+    if !is_sound(datagram) {
         return Received::Malformed;
     }
     let signed = datagram.len() - CRC;
-    if crc32(&datagram[..signed]) != number(datagram, signed) {
-        return Received::Malformed;
-    }
     let (version, kind) = (datagram[4], datagram[5]);
     if !(OLDEST_VERSION..=VERSION).contains(&version) {
         return Received::OtherVersion(version, kind);
@@ -327,6 +319,7 @@ pub fn decode(datagram: &[u8], seal: Option<&Seal>) -> Received {
     let is_new = kind == Kind::Home as u8 || kind == Kind::Unhome as u8;
     let body = match kind {
         STATUS => 44,
+        COMPACT => 28,
         ANSWER => 12,
         1 => 52,
         2..=10 if version == VERSION || !is_new => 28,
@@ -339,8 +332,7 @@ pub fn decode(datagram: &[u8], seal: Option<&Seal>) -> Received {
     }
     if let Some(seal) = seal {
         let (begin, tag) = (&datagram[..end], &datagram[end..signed]);
-        let is_of = |nonce: u64| is_equal(tag, &seal.tag(nonce, begin));
-        if !(is_of(seal.nonce) || kind == ANSWER && is_of(0)) {
+        if !(seal.is_tag(seal.nonce, begin, tag) || kind == ANSWER && seal.is_tag(0, begin, tag)) {
             return Received::NotAuthentic;
         }
     }
@@ -354,33 +346,29 @@ pub fn decode(datagram: &[u8], seal: Option<&Seal>) -> Received {
         number: number(datagram, 36),
     };
     match kind {
-        STATUS => status(head, &datagram[HEAD..end]),
+        STATUS => status(head, core::array::from_fn(|at| float(datagram, HEAD + 8 * at)), &datagram[HEAD + 32..end]),
+        COMPACT => status(head, core::array::from_fn(|at| single(datagram, HEAD + 4 * at)), &datagram[HEAD + 16..end]),
         ANSWER => answer(head, &datagram[HEAD..end]),
         _ => Received::Foreign,
     }
-}
-
-/// Whether a tag is right; the time that it takes does not depend on where it is wrong.
-fn is_equal(tag: &[u8], right: &[u8; TAG]) -> bool {
-    tag.len() == TAG && tag.iter().zip(right).fold(0, |wrong, (a, b)| wrong | a ^ b) == 0
 }
 
 fn is_state(state: u8) -> bool {
     matches!(state, 0 | 1 | Status::FAULT)
 }
 
-fn status(head: Head, body: &[u8]) -> Received {
+fn status(head: Head, [depth_mm, velocity_mm_s, roll_rad, velocity_rad_s]: [f64; 4], rest: &[u8]) -> Received {
     let status = Status {
         head,
-        depth_mm: float(body, 0),
-        velocity_mm_s: float(body, 8),
-        roll_rad: float(body, 16),
-        velocity_rad_s: float(body, 24),
-        faults: number(body, 32),
-        state: body[36],
-        flags: body[37],
-        overruns: short(body, 38),
-        missed: number(body, 40),
+        depth_mm,
+        velocity_mm_s,
+        roll_rad,
+        velocity_rad_s,
+        faults: number(rest, 0),
+        state: rest[4],
+        flags: rest[5],
+        overruns: short(rest, 6),
+        missed: number(rest, 8),
     };
     let most = if head.version < VERSION { 1 } else { 7 };
     if is_state(status.state) && status.flags <= most { Received::Status(status) } else { Received::Malformed }

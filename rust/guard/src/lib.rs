@@ -14,8 +14,9 @@
 //! | `supervisor` | what is sent to a robot, with and without the program |
 //! | `session` | what its datagrams mean |
 //! | `datagram`, `hmac` | their bytes |
+//! | `line` | the frames of a serial line, and which datagram leaves next |
 //!
-//! The feature `robot`, which is on by default, adds the last four; the feature `c` adds the functions of
+//! The feature `robot`, which is on by default, adds the last five; the feature `c` adds the functions of
 //! `include/needleplan_guard.h`.
 #![no_std]
 #![cfg_attr(not(feature = "c"), forbid(unsafe_code))]
@@ -32,6 +33,8 @@ pub mod datagram;
 pub mod deadman;
 #[cfg(feature = "robot")]
 pub mod hmac;
+#[cfg(feature = "robot")]
+pub mod line;
 pub mod repeat;
 pub mod rise;
 #[cfg(feature = "robot")]

@@ -2,8 +2,9 @@
 
 use crate::Nanoseconds;
 use crate::datagram::{
-    Answer, Body, Head, Kind, LONGEST, OLDEST_VERSION, Received, Seal, SessionLimits, Status, VERSION, decode, encode,
+    Answer, Body, Head, Kind, LONGEST, OLDEST_VERSION, Received, SessionLimits, Status, VERSION, decode, encode,
 };
+use crate::hmac::Seal;
 
 /// Length of a window of [`RobotClock`], which uses the present and the previous window.
 const WINDOW_NS: Nanoseconds = 5_000_000_000;
@@ -138,6 +139,12 @@ impl Session {
             last_sequence: None,
             echo: (0, now_ns),
         }
+    }
+
+    /// The session, with datagrams and commands counted so far: counters may begin anywhere, and wrap.
+    #[must_use]
+    pub fn counting_from(self, count: u32) -> Session {
+        Session { sequence: count, number: count, ..self }
     }
 
     /// Number of the last command.

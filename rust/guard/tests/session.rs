@@ -4,9 +4,9 @@
 mod robot;
 
 use needleplan_guard::datagram::{
-    Answer, Body, Head, Kind, LONGEST, Received, Seal, SessionLimits, Status, crc32, decode, encode,
+    Answer, Body, Head, Kind, LONGEST, Received, SessionLimits, Status, crc32, decode, encode,
 };
-use needleplan_guard::hmac::Key;
+use needleplan_guard::hmac::{Key, Seal};
 use needleplan_guard::session::{Counts, Message, Session, is_later};
 use robot::Robot;
 
@@ -131,7 +131,7 @@ fn a_datagram_that_is_wrong_under_a_right_checksum_is_malformed() {
         (0x81, vec![0; 11]),
         (0x00, vec![0; 28]),
         (0x0B, vec![0; 28]),
-        (0x82, vec![0; 44]),
+        (0x83, vec![0; 44]),
     ];
     for (kind, body) in bodies {
         assert_eq!(decode(&robot.datagram(kind, 0, &body, 0), None), Received::Malformed);

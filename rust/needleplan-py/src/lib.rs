@@ -5,6 +5,7 @@ mod arrays;
 mod bristle;
 mod guard;
 mod lattice;
+mod line;
 mod lookup;
 mod robot;
 mod robot_threads;
@@ -39,6 +40,7 @@ fn _ppvi(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<guard::HeartbeatTimer>()?;
     module.add_class::<guard::DeadmanTimer>()?;
     module.add_class::<robot::RobotSupervisor>()?;
+    module.add_class::<line::RobotLine>()?;
     module.add_function(wrap_pyfunction!(guard::guard_causes, module)?)?;
     module.add_function(wrap_pyfunction!(guard::guard_validated, module)?)?;
     module.add_function(wrap_pyfunction!(guard::guard_ordered, module)?)?;

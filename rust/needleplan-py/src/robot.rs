@@ -9,8 +9,8 @@ use std::sync::{Arc, Condvar, Mutex, PoisonError};
 use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
-use needleplan_guard::datagram::{Kind, LONGEST, Seal, SessionLimits};
-use needleplan_guard::hmac::Key;
+use needleplan_guard::datagram::{Kind, LONGEST, SessionLimits};
+use needleplan_guard::hmac::{Key, Seal};
 use needleplan_guard::session::{Message, Session};
 use needleplan_guard::supervisor::{Post, Rules, Supervisor, Timed};
 use pyo3::exceptions::{PyOSError, PyValueError};
@@ -44,7 +44,7 @@ fn socket_of(descriptor: i64) -> PyResult<UdpSocket> {
     Ok(UdpSocket::from(unsafe { OwnedSocket::from_raw_socket(descriptor) }))
 }
 
-fn spawned(name: &str, work: impl FnOnce() + Send + 'static) -> PyResult<JoinHandle<()>> {
+pub(crate) fn spawned(name: &str, work: impl FnOnce() + Send + 'static) -> PyResult<JoinHandle<()>> {
     thread::Builder::new().name(name.to_owned()).spawn(work).map_err(PyOSError::new_err)
 }
 

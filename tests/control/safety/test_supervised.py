@@ -7,6 +7,7 @@ import ctypes
 import socket
 import struct
 import time
+from collections import deque
 from collections.abc import Iterator
 from dataclasses import replace
 
@@ -16,7 +17,7 @@ from needleplan.control.safety import Cause, GuardedStage, OperatingState, Order
 from needleplan.devices import ForceSample, PoseSample, Stamp
 from needleplan.devices.robot import RobotLimits, RobotMachine, RobotServer, RobotStage, RobotTiming, SteadyDrive
 from needleplan.devices.robot.messages import RobotCommand, RobotKind, decode
-from needleplan.errors import MotionRefused
+from needleplan.errors import LinkClosed, MotionRefused
 
 PATIENT = RobotTiming(silence_s=20.0, valid_s=20.0, answer_s=20.0, lost_s=20.0)
 LIMITS = SafetyLimits(force_age_s=10.0, pose_age_s=10.0, stage_age_s=10.0, loop_age_s=10.0)
@@ -31,8 +32,6 @@ class Rig:
     def __init__(self, server: RobotServer, stage: RobotStage) -> None:
         self.server, self.stage = server, stage
         self.guard = GuardedStage(stage, LIMITS, accepted_limits="a busy machine")
-        # The kernel notes times some milliseconds later. A datagram that came before has the time of its reading.
-        server._socket.setsockopt(socket.SOL_SOCKET, TIMESTAMPS, 1)
 
     def turn(self) -> None:
         stamp = Stamp(time.monotonic_ns(), time.monotonic_ns())
@@ -63,7 +62,7 @@ class Rig:
         """Yield what has arrived at the frozen robot, with its time of arrival (s, time of day)."""
         with contextlib.suppress(BlockingIOError):
             while True:
-                data, extra, _, _ = self.server._socket.recvmsg(2048, 64)
+                data, extra, _, _ = self.server._door._socket.recvmsg(2048, 64)
                 seconds, nanoseconds = struct.unpack("qq", extra[0][2]) if extra else (0, 0)
                 message = decode(data)
                 assert isinstance(message, RobotCommand)
@@ -77,6 +76,8 @@ def rig() -> Iterator[Rig]:
         RobotServer(RobotMachine(SteadyDrive(), limits)) as server,
         RobotStage.open(server.address, timing=PATIENT) as stage,
     ):
+        # The kernel notes times some milliseconds later. A datagram that came before has the time of its reading.
+        server._door._socket.setsockopt(socket.SOL_SOCKET, TIMESTAMPS, 1)
         yield Rig(server, stage)
 
 
@@ -112,3 +113,19 @@ def test_after_a_trip_a_motion_of_a_program_that_does_not_know_it_is_not_sent(ri
     with pytest.raises(MotionRefused, match="loop_late"):
         rig.guard.insert(90.0, 5.0)
     assert rig.guard.state.operating is OperatingState.FAULT
+
+
+def test_an_unplugged_serial_line_is_a_fault_of_the_guard() -> None:
+    limits = RobotLimits(longest_silence_s=20.0, release_s=60.0, longest_valid_s=30.0)
+    server = RobotServer(RobotMachine(SteadyDrive(), limits), line=True)
+    with server, RobotStage.open(server.address, timing=PATIENT) as stage:
+        rig = Rig(server, stage)
+        rig.begin()
+        server.stop()
+        assert server._thread is not None
+        server._thread.join()
+        server._door.close()
+        with pytest.raises(LinkClosed, match="the line was unplugged"):
+            deque((rig.turn() for _ in range(100)), maxlen=0)
+        assert Cause.STAGE_FAULT in rig.guard.check().latched
+        assert rig.guard.state.operating is OperatingState.FAULT

@@ -48,7 +48,9 @@ ANSWERS = st.builds(Answer, HEADS, st.integers(0, 255), st.sampled_from(Result),
 FIELDS = (REAL, REAL, REAL, REAL, U32.map(Fault), st.sampled_from(RobotState), st.booleans(), U16, U32)
 STATUSES = st.builds(RobotStatus, HEADS, *FIELDS, st.booleans(), st.booleans())
 OLD_STATUSES = st.builds(RobotStatus, OLD_HEADS, *FIELDS)
-MESSAGES = HELLOS | COMMANDS | ANSWERS | STATUSES | OLD_STATUSES
+SINGLE = st.floats(allow_nan=False, width=32)
+COMPACT = st.builds(RobotStatus, HEADS, *[SINGLE] * 4, *FIELDS[4:], st.booleans(), st.booleans(), st.just(True))
+MESSAGES = HELLOS | COMMANDS | ANSWERS | STATUSES | OLD_STATUSES | COMPACT
 COMMAND = RobotCommand(
     Head(0x01020304, 5, 6_000_000_007, 8, 9, 10),
     RobotKind.INSERT,
@@ -173,6 +175,9 @@ def test_another_version_is_named_whatever_its_length() -> None:
 def test_what_does_not_fit_is_not_sent() -> None:
     with pytest.raises(ProtocolError, match="HELLO cannot be sent"):
         encode(Hello(Head(2**32, 0, 0)))
+    status = RobotStatus(Head(1, 2, 3), 1e39, 0.0, 0.0, 0.0, Fault(0), RobotState.ENABLED, False, compact=True)
+    with pytest.raises(ProtocolError, match="COMPACT cannot be sent"):
+        encode(status)
 
 
 @settings(max_examples=50)
@@ -245,6 +250,9 @@ int main(void) {
     P(npl_answer, asked); P(npl_answer, state); P(npl_answer, result); P(npl_answer, crc);
     P(npl_status, depth_mm); P(npl_status, faults); P(npl_status, state); P(npl_status, flags);
     P(npl_status, overruns); P(npl_status, missed); P(npl_status, crc);
+    printf("%zu ", sizeof(npl_compact));
+    P(npl_compact, depth_mm); P(npl_compact, velocity_rad_s); P(npl_compact, faults); P(npl_compact, state);
+    P(npl_compact, flags); P(npl_compact, overruns); P(npl_compact, missed); P(npl_compact, crc);
     return 0;
 }
 """
@@ -278,6 +286,7 @@ def test_the_c_header_makes_a_command_that_is_ours_and_reads_our_status(tmp_path
 def test_sizes_and_offsets_of_the_c_header_are_those_of_the_reference(tmp_path: Path) -> None:
     done = subprocess.run([compiled(SIZES, tmp_path)], capture_output=True, text=True, check=True, timeout=60)
     expected = "40 72 56 88  96 40 80 84 92 40  6 8 16 32 36  40 64 68  48 49 50 52  40 72 76 77 78 80 84"
+    expected += " 72  40 52 56 60 61 62 64 68"
     assert done.stdout.split() == expected.split()
 
 

@@ -142,6 +142,8 @@ def test_the_command_says_which_rules_hold(capsys: pytest.CaptureFixture[str]) -
         robot.machine._answer = lambda *_: b""  # type: ignore[method-assign]
         assert main(words) == 1
         assert "HELLO gets no answer instead of ACCEPTED: is a robot there, free" in capsys.readouterr().err
+        assert main(["check-robot", server.address, "--may-move", "nan"]) == 2
+        assert "--may-move = nan: must be from 1 to 10 mm" in capsys.readouterr().err
         assert main([*words, "--only", "stopp"]) == 2
         assert 'did you mean "stop"' in capsys.readouterr().err
     assert isinstance(robot.drive, SteadyDrive)

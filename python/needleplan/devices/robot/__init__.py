@@ -1,12 +1,16 @@
-"""The needleplan robot protocol over UDP: a stage for the controller, and the robot side with simulated drives."""
+"""The needleplan robot protocol over UDP or a serial line.
 
-from needleplan.devices.robot._bystander import robot_place, stop_robot
+A stage for the controller, and the robot side with simulated drives.
+"""
+
+from needleplan.devices.robot._bystander import stop_robot
 from needleplan.devices.robot._drives import DriveLimits, RobotDrive, RobotDriveState
 from needleplan.devices.robot._limits import RobotLimits
 from needleplan.devices.robot._machine import RobotMachine
 from needleplan.devices.robot._relay import RobotRelay
 from needleplan.devices.robot._simulator import RobotDriveFaults, RobotLink, RobotNetwork, RobotServer, SteadyDrive
 from needleplan.devices.robot._stage import RobotStage, RobotTiming, read_key
+from needleplan.devices.robot._way import RobotWay, open_way
 from needleplan.devices.robot.messages import Fault, MotionLimits, RobotState, RobotStatus
 
 __all__ = [
@@ -26,8 +30,9 @@ __all__ = [
     "RobotState",
     "RobotStatus",
     "RobotTiming",
+    "RobotWay",
     "SteadyDrive",
+    "open_way",
     "read_key",
-    "robot_place",
     "stop_robot",
 ]

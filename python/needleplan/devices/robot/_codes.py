@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from enum import IntEnum, IntFlag
 
-__all__ = ["NAMES_OF_FAULTS", "Fault", "Result", "RobotKind", "RobotState"]
+__all__ = ["NAMES_OF_FAULTS", "REASONS_OF_RESULTS", "Fault", "Result", "RobotKind", "RobotState"]
 
 
 class RobotKind(IntEnum):
@@ -39,6 +39,8 @@ class RobotKind(IntEnum):
 
     STATUS = 0x80
     ANSWER = 0x81
+    COMPACT = 0x82
+    """Status with numbers of 4 bytes, on a serial line."""
 
 
 class Result(IntEnum):
@@ -111,3 +113,21 @@ NAMES_OF_FAULTS = {
     Fault.FOREIGN_STOP: "another sender ordered a stop",
     Fault.BEYOND: "the measured depth or roll is beyond the limits of the session",
 }
+
+REASONS_OF_RESULTS = {
+    Result.BUSY: "the robot has another controller",
+    Result.OLD_SESSION: "the robot has ended this session: it was restarted, or received nothing for too long",
+    Result.WRONG_VERSION: "the robot speaks another version of the protocol",
+    Result.LATE: "the command arrived after its deadline",
+    Result.SUPERSEDED: "a later command such as a stop arrived before it",
+    Result.NOT_ENABLED: "the robot is not enabled",
+    Result.OUT_OF_RANGE: "the drive does not accept this target or speed",
+    Result.IN_FAULT: "the robot is in a fault",
+    Result.DEPTH_BEYOND: "the depth is outside the limits of the robot or of this session",
+    Result.SPEED_BEYOND: "the speed is above the limit of the robot or of this session",
+    Result.ROLL_BEYOND: "the roll is beyond the limit of the robot or of this session",
+    Result.ROTATION_BEYOND: "the rotation speed is above the limit of the robot or of this session",
+    Result.DEADLINE_BEYOND: "the deadline is farther in the future than the robot permits; reduce valid_s",
+    Result.NOT_AUTHENTIC: "the robot requires another key: set key_file in its address",
+}
+"""What a result means for the controller."""

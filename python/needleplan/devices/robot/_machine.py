@@ -52,6 +52,7 @@ _NANO = 1_000_000_000
 _WRAP = 1 << 32
 _MOST_OVERRUNS = 65_535  # largest number of late ticks that fits into a status
 _REMEMBERED_SESSIONS = 64  # number of ended sessions whose commands and new HELLO are refused
+_COMPACT_NS = 2_500_000  # time (ns) between two compact statuses, for all recipients together: two thirds of a line
 _SENT_BY_ROBOT = 0x80  # bit that is set in the kind of every datagram that a robot sends
 _TIMELESS = (RobotKind.HELLO, RobotKind.STOP, RobotKind.GOODBYE, RobotKind.UNHOME)  # commands without a deadline
 
@@ -95,6 +96,10 @@ class RobotMachine:
         self.faults: Fault = Fault(0)
         self.counts: RobotCounts = RobotCounts()
         self.overruns = 0
+        self.compact: bool = False
+        """Whether statuses are compact, and leave every 2.5 ms instead of at every tick, as on a serial line."""
+
+        self._due_ns = 0
         self._watch = DriveWatch(axes)
         self._stop, self._rest, self._stands = DriveStop(drive), DriveRest(), False
         self._witnesses = StopWitnesses()
@@ -193,6 +198,10 @@ class RobotMachine:
             if self.state is not RobotState.FAULT:
                 self.state = RobotState.FAULT
                 self._stop.begin()
+        if self.compact:
+            if now_ns < self._due_ns:
+                return None
+            self._due_ns = max(self._due_ns + _COMPACT_NS, now_ns)
         witness = self._witnesses.due(now_ns)
         if witness is not None:
             return encode(self._status_of(witness.head(now_ns), state, missed=0), self._seal), witness.peer
@@ -210,7 +219,7 @@ class RobotMachine:
     def _status_of(self, head: Head, state: RobotDriveState, missed: int) -> RobotStatus:
         return RobotStatus(
             head, state.depth_mm, state.velocity_mm_s, state.roll_rad, state.velocity_rad_s, self.faults, self.state,
-            state.moving, min(self.overruns, _MOST_OVERRUNS), missed, self.homed, self._stands,
+            state.moving, min(self.overruns, _MOST_OVERRUNS), missed, self.homed, self._stands, self.compact,
         )  # fmt: skip
 
     def _greet(self, hello: Hello, sender: Peer) -> Result:

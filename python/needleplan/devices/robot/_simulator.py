@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import contextlib
 import heapq
 import math
 import select
-import socket
 import threading
 import time
 from collections import deque
@@ -16,6 +14,7 @@ from typing import Self
 
 from needleplan.devices._clock import VirtualClock
 from needleplan.devices._links import Link
+from needleplan.devices.robot._doors import PtyDoor, UdpDoor
 from needleplan.devices.robot._drives import RobotDrive, RobotDriveState
 from needleplan.devices.robot._machine import Peer, RobotMachine
 from needleplan.devices.robot.messages import Fault
@@ -128,36 +127,39 @@ class SteadyDrive(RobotDrive):
 
 
 class RobotServer:
-    """Serves a robot at a UDP socket of this machine, in real time.
+    """Serves a robot at a UDP socket of this machine, in real time; with `line`, at a pseudo-terminal instead.
 
-    `run` serves in the calling thread until `stop` or `close`. As a context manager, the server uses its own thread.
+    At a pseudo-terminal, the robot sends compact statuses. `run` serves in the calling thread until `stop` or `close`.
+    As a context manager, the server uses its own thread.
     """
 
-    host: str
-    port: int
-
     def __init__(
-        self, machine: RobotMachine, host: str = "127.0.0.1", port: int = 0, interval_s: float = 0.001
-    ) -> None:
+        self, machine: RobotMachine, host: str = "127.0.0.1", port: int = 0, interval_s: float = 0.001, *,
+        line: bool = False,
+    ) -> None:  # fmt: skip
         self.machine = machine
+        self._door = PtyDoor() if line else UdpDoor(host, port)
+        machine.compact = line
         self.interval_s = interval_s
         self.worst_overrun_s: float = 0.0
         self.ticks: int = 0
-        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        try:
-            self._socket.bind((host, port))
-        except OSError:
-            self._socket.close()
-            raise
-        self._socket.setblocking(False)
-        self.host, self.port = self._socket.getsockname()
         self._stopping = threading.Event()
         self._thread: threading.Thread | None = None
 
     @property
     def address(self) -> str:
         """The address by which a client opens the robot."""
-        return f"udp://{self.host}:{self.port}"
+        return self._door.address
+
+    @property
+    def host(self) -> str:
+        """Host of the UDP socket; empty for a pseudo-terminal."""
+        return self._door.host
+
+    @property
+    def port(self) -> int:
+        """Port of the UDP socket; 0 for a pseudo-terminal."""
+        return self._door.port
 
     def run(self) -> None:
         """Call `machine.tick` at every interval and answer datagrams, until `stop` or `close`.
@@ -176,7 +178,7 @@ class RobotServer:
             self.ticks += 1
             sent = self.machine.tick(time.monotonic_ns())
             if sent is not None:
-                self._send(*sent)
+                self._door.send(*sent)
 
     def _listen_until(self, due_s: float) -> None:
         # Datagrams that have arrived are received before the tick checks the watchdog, also after a pause of this
@@ -186,30 +188,23 @@ class RobotServer:
             left_s = max(due_s - time.monotonic(), 0.0)
             overtime -= left_s == 0
             # `select` instead of a timeout of the socket, which would be rounded up to whole milliseconds.
-            if not select.select([self._socket], [], [], left_s)[0]:
+            if not select.select([self._door], [], [], left_s)[0]:
                 return
-            try:
-                datagram, sender = self._socket.recvfrom(2048)
-            except OSError:
-                continue
-            answer = self.machine.receive(datagram, sender, time.monotonic_ns())
-            if answer:
-                self._send(answer, sender)
-
-    def _send(self, datagram: bytes, peer: Peer) -> None:
-        with contextlib.suppress(OSError):
-            self._socket.sendto(datagram, peer)
+            for datagram, sender in self._door.receive():
+                answer = self.machine.receive(datagram, sender, time.monotonic_ns())
+                if answer:
+                    self._door.send(answer, sender)
 
     def stop(self) -> None:
         """Make `run` return after its present tick."""
         self._stopping.set()
 
     def close(self) -> None:
-        """Stop serving, wait for the server's thread, and close the socket."""
+        """Stop serving, wait for the server's thread, and close the socket or pseudo-terminal."""
         self._stopping.set()
         if self._thread is not None:
             self._thread.join()
-        self._socket.close()
+        self._door.close()
 
     def __enter__(self) -> Self:
         self._thread = threading.Thread(target=self.run, daemon=True)

@@ -13,7 +13,8 @@ from needleplan.devices._base import Health, Stage, StageSample, Stamp
 from needleplan.devices._clock import Clock, Deadline, SystemClock
 from needleplan.devices._links import Link
 from needleplan.devices._opening import Address, open_link, require_called_heartbeat
-from needleplan.devices.robot._bystander import robot_place
+from needleplan.devices.robot._codes import REASONS_OF_RESULTS
+from needleplan.devices.robot._way import RobotWay, open_way, robot_address
 from needleplan.devices.robot._wire import RobotWire
 from needleplan.devices.robot.conversation import RobotClock, RobotConversation, StatusCounts
 from needleplan.devices.robot.messages import (
@@ -40,22 +41,6 @@ _REFUSED_MOTION = frozenset({
 })  # fmt: skip
 # Results of a HELLO that asks for wider limits than those of the robot
 _TOO_WIDE = (Result.DEPTH_BEYOND, Result.SPEED_BEYOND, Result.ROLL_BEYOND, Result.ROTATION_BEYOND)
-_REASONS = {
-    Result.BUSY: "the robot has another controller",
-    Result.OLD_SESSION: "the robot has ended this session: it was restarted, or received nothing for too long",
-    Result.WRONG_VERSION: "the robot speaks another version of the protocol",
-    Result.LATE: "the command arrived after its deadline",
-    Result.SUPERSEDED: "a later command such as a stop arrived before it",
-    Result.NOT_ENABLED: "the robot is not enabled",
-    Result.OUT_OF_RANGE: "the drive does not accept this target or speed",
-    Result.IN_FAULT: "the robot is in a fault",
-    Result.DEPTH_BEYOND: "the depth is outside the limits of the robot or of this session",
-    Result.SPEED_BEYOND: "the speed is above the limit of the robot or of this session",
-    Result.ROLL_BEYOND: "the roll is beyond the limit of the robot or of this session",
-    Result.ROTATION_BEYOND: "the rotation speed is above the limit of the robot or of this session",
-    Result.DEADLINE_BEYOND: "the deadline is farther in the future than the robot permits; reduce valid_s",
-    Result.NOT_AUTHENTIC: "the robot requires another key: set key_file in its address",
-}
 
 
 @dataclass(frozen=True)
@@ -93,8 +78,9 @@ class RobotStage(Stage):
 
     Only commands and `heartbeat` reset the watchdog of the robot. `read` sends nothing, so that the robot also stops if
     the control loop fails while another thread continues to read. `limits` are the limits of motion of the session, by
-    default those of the robot. With a `key` of at least 16 bytes, all datagrams are authenticated. The constructor
-    takes control of the robot; raises DeviceFault if this fails, ProtocolError if the key is too short.
+    default those of the robot. With a `key` of at least 16 bytes, all datagrams are authenticated. `close` also closes
+    the `way` to the robot. The constructor takes control of the robot; raises DeviceFault if this fails, ProtocolError
+    if the key is too short.
     """
 
     def __init__(
@@ -105,11 +91,13 @@ class RobotStage(Stage):
         limits: MotionLimits | None = None,
         key: bytes | None = None,
         clock: Clock | None = None,
+        way: RobotWay | None = None,
         draw_session: Callable[[], int] = lambda: secrets.randbelow(_WRAP - 1) + 1,
     ) -> None:
         self._draw = draw_session
         self._clock: Clock = SystemClock() if clock is None else clock
-        self._wire = RobotWire(link, self._clock)
+        self._way = way
+        self._wire = RobotWire(link, self._clock, way)
         self.timing: RobotTiming = RobotTiming() if timing is None else timing
         self.limits: MotionLimits = MotionLimits() if limits is None else limits
         self._key = key
@@ -132,12 +120,15 @@ class RobotStage(Stage):
     def open(cls, address: str, *, timing: RobotTiming | None = None, limits: MotionLimits | None = None) -> RobotStage:
         """Open `udp://host[:5005][?watchdog_s=0.03&valid_s=0.03&local_port=n&key_file=path]` and take control.
 
+        Or open `serial:///dev/ttyUSB0[?baud=460800]`, with the same other options without `local_port`.
         `watchdog_s` is `silence_s` of RobotTiming, `valid_s` has the same name there. `local_port` is the receiving
         port of this machine, by default any free port. `key_file` is a file with the shared key in hexadecimal digits.
         Raises AddressError if the address or the key is wrong, DeviceFault if the robot does not answer, has another
         controller, does not accept the limits, or is in a fault that stays.
         """
-        parsed, (host, port) = robot_place(address, ("watchdog_s", "valid_s", "alive", "local_port", "key_file"))
+        options = ("watchdog_s", "valid_s", "alive", "key_file")
+        is_line = Address.parse(address).scheme == "serial"
+        parsed = robot_address(address, options if is_line else (*options, "local_port"))
         require_called_heartbeat(parsed)
         usual = RobotTiming() if timing is None else timing
         silence_s = parsed.option("watchdog_s", float, usual.silence_s)
@@ -148,8 +139,13 @@ class RobotStage(Stage):
         key = read_key(parsed.options["key_file"]) if "key_file" in parsed.options else None
         local = {name: value for name, value in parsed.options.items() if name == "local_port"}
         asked = replace(usual, silence_s=silence_s, valid_s=valid_s)
-        link = open_link(Address("udp", host, port, options=local))
-        return cls(link, timing=asked, limits=limits, key=key)
+        way = open_way(address)
+        try:
+            link = open_link(Address("udp", way.host, way.port, options=local))
+        except BaseException:
+            way.close()
+            raise
+        return cls(link, timing=asked, limits=limits, key=key, way=way)
 
     @property
     def counts(self) -> StatusCounts:
@@ -363,11 +359,11 @@ class RobotStage(Stage):
         if self._fault is not None:
             raise self._fault
         if self._conversation.lost_control is not None:
-            raise self._give_up(_REASONS[self._conversation.lost_control])
+            raise self._give_up(REASONS_OF_RESULTS[self._conversation.lost_control])
 
     def _require_status(self) -> None:
         if self._conversation.lost_control is not None:
-            raise self._give_up(_REASONS[self._conversation.lost_control])
+            raise self._give_up(REASONS_OF_RESULTS[self._conversation.lost_control])
         silent_s = (self._clock.now_ns() - self._conversation.received_ns) / 1e9
         if silent_s >= self.timing.lost_s:
             raise self._give_up(f"silent for {silent_s:.3g} s; check its cable, power and control program")
@@ -376,13 +372,14 @@ class RobotStage(Stage):
         if result is None:
             if self._conversation.counts.not_authentic:
                 return f"no answer within {waited_s:g} s that is authenticated with the key"
-            return f"no answer within {waited_s:g} s"
+            hint = "" if self._way is None else self._way.hint
+            return f"no answer within {waited_s:g} s" + f"; {hint}" * bool(hint)
         patience = Deadline(self._clock, self.timing.lost_s)
         while result is Result.IN_FAULT and not self._conversation.statuses and not patience.passed:
             self._conversation.pump(patience.left_s)
         if result is Result.IN_FAULT and self._conversation.statuses:
-            return f"{_REASONS[result]}: {self._causes(self._conversation.statuses[-1][0])}"
-        return _REASONS[result]
+            return f"{REASONS_OF_RESULTS[result]}: {self._causes(self._conversation.statuses[-1][0])}"
+        return REASONS_OF_RESULTS[result]
 
     @staticmethod
     def _causes(status: RobotStatus) -> str:

@@ -8,6 +8,7 @@ from needleplan import _ppvi
 from needleplan.devices._base import Closing
 from needleplan.devices._clock import Clock, SystemClock
 from needleplan.devices._links import Link, UdpLink
+from needleplan.devices.robot._way import RobotWay
 from needleplan.devices.robot.messages import MotionLimits, RobotKind
 from needleplan.devices.supervision import GuardNumbers, StageSupervisor, SupervisedLimits, SupervisedTimes
 from needleplan.errors import LinkClosed
@@ -23,11 +24,12 @@ class RobotWire(Closing, StageSupervisor):
 
     On a UDP link with the clock of this machine, two threads of Rust own the socket. They never wait for the Python
     interpreter: a STOP and the heartbeats leave while Python computes or hangs. On any other link, such as a simulated
-    one with a virtual clock, the same decisions are made whenever this program sends or receives.
+    one with a virtual clock, the same decisions are made whenever this program sends or receives. The link to a robot
+    on a serial line is a UDP link to the threads of Rust that own the line, its `way`.
     """
 
-    def __init__(self, link: Link, clock: Clock) -> None:
-        self._link, self._clock = link, clock
+    def __init__(self, link: Link, clock: Clock, way: RobotWay | None = None) -> None:
+        self._link, self._clock, self._way = link, clock, way
         self.supervisor: _ppvi.RobotSupervisor = _ppvi.RobotSupervisor(clock.now_ns())
         self.is_native: bool = type(link) is UdpLink and isinstance(clock, SystemClock)
         """Whether the threads of Rust own the socket."""
@@ -53,6 +55,8 @@ class RobotWire(Closing, StageSupervisor):
 
     def receive(self, timeout_s: float) -> RobotMessage | None:
         """Return the next datagram of the robot, decoded; None after `timeout_s`. Raises LinkClosed."""
+        if self._way is not None and self._way.failure:
+            raise LinkClosed(f"robot: {self._way.failure}")
         if self.is_native:
             try:
                 return self.supervisor.receive(timeout_s)
@@ -87,6 +91,8 @@ class RobotWire(Closing, StageSupervisor):
         self.supervisor.withhold()
 
     def close(self) -> None:
-        """End the threads, and close the link."""
+        """End the threads, and close the link and the way to the robot."""
         self.supervisor.close()
         self._link.close()
+        if self._way is not None:
+            self._way.close()

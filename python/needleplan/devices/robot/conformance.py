@@ -11,14 +11,15 @@ from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass
 from enum import StrEnum
 
+from needleplan.devices._links import Link
 from needleplan.devices._opening import Address, open_link
 from needleplan.devices.robot import _motion_rules, _session_rules
 from needleplan.devices.robot._bench import RobotBench
-from needleplan.devices.robot._bystander import robot_place
 from needleplan.devices.robot._codes import RobotKind
 from needleplan.devices.robot._probe import RobotAstray, RuleBroken
 from needleplan.devices.robot._stage import read_key
-from needleplan.errors import DeviceFault
+from needleplan.devices.robot._way import RobotWay, open_way
+from needleplan.errors import DeviceFault, LinkClosed
 
 __all__ = ["CASES", "ConformanceCase", "ConformanceVerdict", "RobotBench", "open_bench", "try_cases"]
 
@@ -71,9 +72,12 @@ def try_cases(bench: RobotBench, only: Collection[str] = ()) -> Iterator[Conform
             deviation = gave_up = str(astray)
         except DeviceFault as broken:
             deviation = str(broken)
-            with bench.closing():
-                if not bench.probe().is_released():
-                    gave_up = "the robot gave no control for 6 s after a broken rule: the test was given up"
+            try:
+                with bench.closing():
+                    if not bench.probe().is_released():
+                        gave_up = "the robot gave no control for 6 s after a broken rule: the test was given up"
+            except LinkClosed as closed:
+                gave_up = str(closed)
         yield ConformanceCase(
             name, rule, ConformanceVerdict.BROKEN if deviation else ConformanceVerdict.HOLDS, deviation
         )
@@ -89,7 +93,24 @@ def try_cases(bench: RobotBench, only: Collection[str] = ()) -> Iterator[Conform
 
 
 def open_bench(address: str, may_move_mm: float) -> RobotBench:
-    """Return the bench of the robot at `udp://host[:5005][?key_file=path]`. Raises AddressError and DeviceFault."""
-    parsed, (host, port) = robot_place(address, ("key_file",))
-    key = read_key(parsed.options["key_file"]) if "key_file" in parsed.options else None
-    return RobotBench(lambda: open_link(Address("udp", host, port)), may_move_mm, key)
+    """Return the bench of the robot at `udp://host[:5005]` or `serial:///dev/ttyUSB0[?baud=460800]`.
+
+    Both may have the option `key_file`. Raises AddressError and DeviceFault.
+    """
+    way = open_way(address, ("key_file",))
+    try:
+        options = way.address.options
+        key = read_key(options["key_file"]) if "key_file" in options else None
+        return RobotBench(lambda: _link(way), may_move_mm, key, way=way)
+    except BaseException as error:
+        hint = way.hint
+        way.close()
+        if hint and isinstance(error, DeviceFault):
+            raise DeviceFault(f"{error}; {hint}") from error
+        raise
+
+
+def _link(way: RobotWay) -> Link:
+    if way.failure:
+        raise LinkClosed(f"robot: {way.failure}")
+    return open_link(Address("udp", way.host, way.port))

@@ -50,7 +50,14 @@ impl Bench {
 
     /// A bench with a guard that is enabled.
     pub fn enabled() -> Bench {
+        Bench::counted(0)
+    }
+
+    /// A bench with a guard that is enabled, in a session in which both sides have counted so far.
+    pub fn counted(count: u32) -> Bench {
         let mut bench = Bench::new();
+        bench.supervisor.session = bench.supervisor.session.counting_from(count);
+        (bench.robot.sequence, bench.robot.number) = (count, count);
         bench.says();
         bench.posts();
         bench.supervisor.tick(bench.now_ns);

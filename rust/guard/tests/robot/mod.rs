@@ -58,6 +58,17 @@ impl Robot {
         self.datagram(0x80, self.number, &body, now_ns)
     }
 
+    /// The status of a serial line.
+    pub fn compact(&mut self, now_ns: i64) -> Vec<u8> {
+        let mut body = Vec::new();
+        for value in [self.depth_mm, self.velocity_mm_s, self.roll_rad, 0.0] {
+            body.extend((value as f32).to_le_bytes());
+        }
+        body.extend(9u32.to_le_bytes());
+        body.extend([self.state, self.flags, 11, 0, 13, 0, 0, 0]);
+        self.datagram(0x82, self.number, &body, now_ns)
+    }
+
     pub fn answer(&mut self, number: u32, asked: u8, result: u16, nonce: u64, now_ns: i64) -> Vec<u8> {
         let mut body = nonce.to_le_bytes().to_vec();
         body.extend([asked, self.state]);

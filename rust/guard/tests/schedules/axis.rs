@@ -7,6 +7,11 @@ use crate::events::Mutant;
 /// Slots after which the robot stops without a sign of life.
 pub const WATCHDOG: i64 = 6;
 
+/// Whether a count is later than another one, as the protocol page says it: by less than half of all numbers.
+pub fn after(count: u32, other: u32) -> bool {
+    (count.wrapping_sub(other) as i32) > 0
+}
+
 /// A robot that obeys the rules of the protocol, and forgets none.
 pub struct Axis {
     pub depth_mm: f64,
@@ -28,13 +33,13 @@ impl Axis {
         let long = |at: usize| u64::from_le_bytes(datagram[at..at + 8].try_into().unwrap());
         let (kind, sequence, number, deadline_ns) = (datagram[5], word(12), word(36), long(40));
         let is_stop = kind == Kind::Stop as u8;
-        if sequence > self.sequence {
+        if after(sequence, self.sequence) {
             self.sequence = sequence;
             if (deadline_ns >= now_ns as u64 && !is_stop) || (is_stop && !self.is_moving()) {
                 self.heard = now;
             }
         }
-        if number == 0 || (number <= self.number && mutant != Some(Mutant::OldNumbers)) {
+        if number == 0 || (!after(number, self.number) && mutant != Some(Mutant::OldNumbers)) {
             return;
         }
         self.number = number;

@@ -62,10 +62,12 @@ pub enum Fate {
 }
 
 /// What may become of one datagram: its direction (to the robot or from it), its number after the first event, its fate.
-pub type Fault = Option<(bool, usize, Fate)>;
+pub type Fault = (bool, usize, Fate);
 
-#[derive(Clone, Copy, Debug)]
+/// What happens, in the order of its slots; which datagrams meet a fault, and how far all numbers were counted before.
+#[derive(Clone, Debug)]
 pub struct Schedule {
-    pub events: [(i64, Event); 2],
-    pub fault: Fault,
+    pub events: Vec<(i64, Event)>,
+    pub faults: Vec<Fault>,
+    pub counted: u32,
 }

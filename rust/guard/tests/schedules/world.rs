@@ -6,7 +6,7 @@ use needleplan_guard::datagram::{Kind, LONGEST};
 use needleplan_guard::session::Message;
 use needleplan_guard::state::{Motion, Operating, Order, Report, State, Transition};
 
-use crate::axis::{Axis, WATCHDOG};
+use crate::axis::{Axis, WATCHDOG, after};
 use crate::events::{Event, Fate, Fault, Mutant, Schedule};
 use crate::robot::bench::{Bench, MS};
 
@@ -47,7 +47,7 @@ pub struct World {
     to_robot: Vec<(i64, Vec<u8>)>,
     from_robot: Vec<(i64, Vec<u8>)>,
     counts: [usize; 2],
-    fault: Fault,
+    faults: Vec<Fault>,
     first: i64,
     now: i64,
     mutant: Option<Mutant>,
@@ -63,18 +63,26 @@ pub struct World {
 
 impl World {
     pub fn new(schedule: &Schedule, mutant: Option<Mutant>) -> World {
-        let mut bench = Bench::enabled();
+        let mut bench = Bench::counted(schedule.counted);
         bench.rules.force_age_s = f64::INFINITY;
         bench.rules.pose_age_s = f64::INFINITY;
         bench.post.state.is_homed = true;
         let state = bench.post.state;
-        let axis = Axis { depth_mm: 10.0, target_mm: 60.0, speed_mm: 0.05, sequence: 0, number: 0, heard: 0, moved: 0 };
+        let axis = Axis {
+            depth_mm: 10.0,
+            target_mm: 60.0,
+            speed_mm: 0.05,
+            sequence: schedule.counted,
+            number: schedule.counted,
+            heard: 0,
+            moved: 0,
+        };
         let program = Program {
             state,
             trips: 0,
             causes: Causes::NONE,
             waiting: None,
-            stop_number: 0,
+            stop_number: schedule.counted,
             stopped: -100,
             last_mm: 10.0,
             still: 0,
@@ -91,7 +99,7 @@ impl World {
             to_robot: Vec::new(),
             from_robot: Vec::new(),
             counts: [0; 2],
-            fault: schedule.fault,
+            faults: schedule.faults.clone(),
             first: schedule.events[0].0,
             now: 0,
             mutant,
@@ -111,13 +119,12 @@ impl World {
         }
         let queue = if is_to_robot { &mut self.to_robot } else { &mut self.from_robot };
         let usual = self.now + 1;
-        match self.fault {
-            Some((way, at, fate)) if (way, at) == (is_to_robot, number) && self.now >= self.first => match fate {
-                Fate::Lost => (),
-                Fate::Again(slots) => queue.extend([(usual, datagram.clone()), (usual + slots, datagram)]),
-                Fate::Late(slots) => queue.push((usual + slots, datagram)),
-            },
-            _ => queue.push((usual, datagram)),
+        let has_begun = self.now >= self.first;
+        match self.faults.iter().find(|(way, at, _)| has_begun && (*way, *at) == (is_to_robot, number)) {
+            Some((.., Fate::Lost)) => (),
+            Some((.., Fate::Again(slots))) => queue.extend([(usual, datagram.clone()), (usual + slots, datagram)]),
+            Some((.., Fate::Late(slots))) => queue.push((usual + slots, datagram)),
+            None => queue.push((usual, datagram)),
         }
     }
 
@@ -278,17 +285,17 @@ impl World {
         for (_, datagram) in due {
             let Message::Status(status, _) = self.bench.supervisor.take(&datagram, self.bench.now_ns) else { continue };
             let program = &mut self.program;
-            if program.waiting.is_some_and(|(number, ..)| status.head.number >= number) {
+            if program.waiting.is_some_and(|(number, ..)| !after(number, status.head.number)) {
                 program.waiting = None;
             }
             let is_still =
-                (status.depth_mm - program.last_mm).abs() <= 0.01 && status.head.number >= program.stop_number;
+                (status.depth_mm - program.last_mm).abs() <= 0.01 && !after(program.stop_number, status.head.number);
             program.still = if is_still { program.still + 1 } else { 0 };
             program.last_mm = status.depth_mm;
         }
     }
 
-    pub fn slot(&mut self, events: &[(i64, Event); 2]) -> Option<&'static str> {
+    pub fn slot(&mut self, events: &[(i64, Event)]) -> Option<&'static str> {
         self.now += 1;
         self.bench.now_ns += SLOT;
         let (now, now_ns) = (self.now, self.bench.now_ns);
