@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING, Any
 
-from needleplan.artifacts import FileKind, file_format
+from needleplan.artifacts import FileKind, call_repr, file_format
 from needleplan.cli.answer import by_table, complain, note, percent, print_json, print_summary, working
 from needleplan.cli.options import (
     EDGES,
@@ -62,6 +62,8 @@ class Replaced:
     place: str
     found: Identified
     file: str
+
+    __repr__ = call_repr
 
     def record(self) -> dict[str, Any]:
         """Return the JSON record of the replacement. Limits of the interval are None if there is no interval."""

@@ -294,6 +294,8 @@ class Keyed:
 
     others: Rule | None = None
 
+    __repr__ = call_repr
+
     def read(self, value: object) -> dict[str, Any]:
         """Return the values by key. Raises Violation."""
         if not isinstance(value, Mapping):

@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
+from needleplan.artifacts import call_repr
 from needleplan.devices import Address, Source, Station, open_station, require_schemes
 from needleplan.errors import AddressError, Mistake
 from needleplan.models import Torsion
@@ -40,6 +41,8 @@ class SimulatedStation(Station):
     """Model of the torsional lag of the simulated needle; None if the tip turns exactly with the base."""
 
     needle_length_mm: float
+
+    __repr__ = call_repr
 
     @property
     def true_tip_mm(self) -> tuple[float, float, float]:
