@@ -4,16 +4,14 @@ from __future__ import annotations
 
 import argparse
 import math
-from collections.abc import Iterator
-from contextlib import contextmanager
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from needleplan.cli.answer import note, print_json, print_summary, working
-from needleplan.cli.options import add_answer, add_output, require_ending, require_outputs, split_numbers
+from needleplan.cli.options import add_answer, add_output, options_named, require_ending, require_outputs, split_numbers
 from needleplan.cli.parser import whole
-from needleplan.errors import InputError, Mistake, ScenarioError
+from needleplan.errors import InputError, Mistake
 
 if TYPE_CHECKING:
     from needleplan.anatomy import AnatomyCase, CaseChoices
@@ -79,7 +77,7 @@ def _run_case(options: argparse.Namespace) -> int:
         rule = f"must be a file outside of {options.folder}, which is read: a volume lies beside it"
         raise InputError(Mistake("--output", options.output, rule))
     require_outputs(options, [], options.output, *map(str, case_files(file)))
-    with working(options, "reading the segmentations"), _options_named():
+    with working(options, "reading the segmentations"), options_named(_KEYS):
         case = read_case(options.folder, choices)
         write_case(case, file, curvature_radius_mm=options.radius, gauge=options.gauge, margin_mm=options.margin)
     if options.json:
@@ -100,16 +98,6 @@ def _run_case(options: argparse.Namespace) -> int:
         note(text)
     note(f"roles are proposals: check {options.output}; next: needleplan entry {options.output}")
     return 0
-
-
-@contextmanager
-def _options_named() -> Iterator[None]:
-    """Name the options in the mistakes of `read_case` instead of its arguments."""
-    try:
-        yield
-    except ScenarioError as error:
-        found = [replace(mistake, key=_KEYS.get(mistake.key, mistake.key)) for mistake in error.mistakes]
-        raise ScenarioError(found, error.source) from None
 
 
 def _choices(options: argparse.Namespace) -> CaseChoices:

@@ -117,7 +117,7 @@ class ConfigTable:
     ) -> None:
         super().__init_subclass__()
         if "__repr__" not in cls.__dict__:
-            cls.__repr__ = call_repr  # type: ignore[method-assign]
+            type.__setattr__(cls, "__repr__", call_repr)  # an assignment would hide the types from editors
         for name, value in (("key", key), ("error", error), ("schema", schema), ("between", between)):
             if value is not None:
                 setattr(cls, name, value)

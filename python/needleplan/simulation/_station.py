@@ -6,7 +6,6 @@ import math
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
-from needleplan.artifacts import call_repr
 from needleplan.devices import Address, Source, Station, open_station, require_schemes
 from needleplan.errors import AddressError, Mistake
 from needleplan.models import Torsion
@@ -29,7 +28,7 @@ _NOISE_LENGTH_MM = 10.0
 _SAME_NOISE = 0.01
 
 
-@dataclass
+@dataclass(repr=False)
 class SimulatedStation(Station):
     """The devices of a simulated lab, with the properties of the lab that an insertion needs."""
 
@@ -41,8 +40,6 @@ class SimulatedStation(Station):
     """Model of the torsional lag of the simulated needle; None if the tip turns exactly with the base."""
 
     needle_length_mm: float
-
-    __repr__ = call_repr
 
     @property
     def true_tip_mm(self) -> tuple[float, float, float]:
