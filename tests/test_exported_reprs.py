@@ -87,3 +87,13 @@ def test_no_exported_dataclass_has_a_long_repr() -> None:
     texts = {name: repr(filled(kind)) for name, kind in CLASSES.items()}
     assert len(texts) > 200
     assert {name: len(text) for name, text in texts.items() if len(text) >= MOST_CHARACTERS or "\n" in text} == {}
+
+
+def test_notebooks_show_every_public_dataclass_and_tuple_as_a_table() -> None:
+    rooms = (npl, npl.mdp, npl.models, npl.recording)
+    kinds = [value for room in rooms for name in room.__all__ if inspect.isclass(value := getattr(room, name))]
+    shown = [kind for kind in kinds if is_dataclass(kind) or issubclass(kind, tuple)]
+    assert len(shown) > 40
+    # The layouts of messages in a recording are no results.
+    layouts = ("Field", "Json", "Packed")
+    assert [k.__name__ for k in shown if not hasattr(k, "_repr_html_") and k.__name__ not in layouts] == []

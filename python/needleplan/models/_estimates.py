@@ -69,6 +69,7 @@ class Estimate:
     between_sd: float | None = None
 
     __repr__ = call_repr
+    _repr_html_ = short_html
 
 
 @dataclass(frozen=True)

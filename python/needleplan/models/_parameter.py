@@ -10,7 +10,7 @@ from enum import StrEnum
 from functools import cache
 from typing import Any
 
-from needleplan.artifacts import call_repr
+from needleplan.artifacts import call_repr, short_html
 
 __all__ = ["Parameter", "Scale", "constant", "parameter", "parameter_section", "parameters_of"]
 
@@ -72,6 +72,7 @@ class Parameter:
     free: bool
 
     __repr__ = call_repr
+    _repr_html_ = short_html
 
     def in_range(self, value: float) -> float | None:
         """Return a value within the range, the bound for a value beyond it by rounding errors, or None.

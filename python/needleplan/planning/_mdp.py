@@ -228,6 +228,7 @@ class Dependencies:
     partitions: tuple[dict[int, NDArray[np.uint32]], ...]
 
     __repr__ = call_repr
+    _repr_html_ = short_html
 
 
 def dependencies(mdp: TabularMdp, labels: ArrayLike) -> Dependencies:

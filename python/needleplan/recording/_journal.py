@@ -28,7 +28,7 @@ from mcap.data_stream import ReadDataStream, RecordBuilder
 from mcap.opcode import Opcode
 from mcap.writer import MCAP0_MAGIC
 
-from needleplan.artifacts import call_repr, version
+from needleplan.artifacts import call_repr, short_html, version
 from needleplan.errors import DataError, Mistake
 from needleplan.recording._message_kinds import Json, MessageKind
 
@@ -77,6 +77,7 @@ class Session:
     made_by: str = field(default_factory=lambda: f"needleplan {version()}")
 
     __repr__ = call_repr
+    _repr_html_ = short_html
 
     def __post_init__(self) -> None:
         for name in ("digests", "texts"):

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 
-from needleplan.artifacts import call_repr
+from needleplan.artifacts import call_repr, short_html
 
 __all__ = ["RecorderState", "RecorderStatus", "WhenFull"]
 
@@ -94,6 +94,7 @@ class RecorderStatus:
     refusal: str = ""
 
     __repr__ = call_repr
+    _repr_html_ = short_html
 
     @property
     def missing(self) -> str:

@@ -60,6 +60,7 @@ class RecordedMessage:
     values: dict[str, Any]
 
     __repr__ = call_repr
+    _repr_html_ = short_html
 
 
 @dataclass(frozen=True, repr=False)

@@ -24,7 +24,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from needleplan.artifacts import call_repr
+from needleplan.artifacts import call_repr, short_html
 from needleplan.errors import Mistake, ModelError
 from needleplan.models.deflection._stepped import StiffnessSteps
 from needleplan.signals import Array
@@ -86,6 +86,7 @@ class NeedleShaft:
     stiffness_steps: StiffnessSteps = ()
 
     __repr__ = call_repr
+    _repr_html_ = short_html
 
     def __post_init__(self) -> None:
         mistakes = []
