@@ -104,5 +104,10 @@ def test_printed_outputs_are_real_numbers(page: Path) -> None:
     assert [line for line in lines if not ELLIPSES.search(line)] == []
 
 
+@pytest.mark.parametrize("page", [*PAGES, *OTHER_PAGES], ids=lambda page: str(page.relative_to(pages.ROOT)))
+def test_3d_has_one_name(page: Path) -> None:
+    assert not re.search(r"\bin space\b", page.read_text(encoding="utf-8"))
+
+
 def test_the_readme_is_short() -> None:
     assert len((pages.ROOT / "README.md").read_text(encoding="utf-8").splitlines()) <= 120

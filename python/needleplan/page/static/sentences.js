@@ -33,7 +33,8 @@ export function ofPlan({ plan, executions, document, refusal, replay }) {
   const verdict = realised
     ? `The needle reaches the target in ${share} of the executions with tip noise.`
     : `The table predicts that the needle reaches the target with ${share}.`;
-  return [verdict, riskOf(plan.risk, "The planned path"), nextOfPlan(plan, document, executions)];
+  const way = plan.reached ? riskOf(plan.risk, "The planned path") : `Without noise, the path ends: ${plan.outcome}.`;
+  return [verdict, way, nextOfPlan(plan, document, executions)];
 }
 
 function nextOfPlan(plan, document, executions) {
@@ -82,6 +83,14 @@ export function ofEntry(entry, volume) {
     ? `The needle reaches the ${target} in ${percent(success)} of the executions with tip noise.`
     : `The table predicts that the needle reaches the ${target} with ${percent(entry.table_success)}.`;
   return [verdict, riskOf(risk, "The planned path"), severalOf(entry, volume), nextOfEntry(entry, volume, turns)];
+}
+
+// What is said instead of an entry if none is ranked.
+export function withoutEntry({ impossible }) {
+  const verdict = impossible
+    ? "Impossible: no path of this needle leads from the entry region to the target."
+    : "No entry reaches the target in 0.1 % of executions; that no path exists is not proved.";
+  return [verdict, "Next: change the entry region, the cone or the curvature radius in the anatomy file."];
 }
 
 function severalOf({ expected_number: expected, order }, { targets }) {

@@ -4,6 +4,7 @@ import { isDark } from "./colours.js";
 import { connect, save } from "./menus.js";
 import { ask, fetchBlob, load, openSession } from "./net.js";
 import { Scene } from "./scene.js";
+import { withoutEntry } from "./sentences.js";
 import { Slices } from "./slices.js";
 import { SpaceReplay } from "./space_replay.js";
 import { make, percent } from "./texts.js";
@@ -276,7 +277,8 @@ async function begin() {
     choose(volume.ranked[0].number);
     return;
   }
-  say(volume.impossible ? "Impossible: no path of this needle leads from the entry region to the target." : "No entry reaches the target in 0.1 % of executions; that no path exists is not proved.");
+  panel.sentences.show(withoutEntry(volume));
+  element("live").textContent = withoutEntry(volume).join(" ");
   slices.tell();
   document.body.dataset.state = "done";
 }
