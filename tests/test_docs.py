@@ -84,5 +84,30 @@ def test_a_how_to_page_does_one_job(page: Path) -> None:
     assert len(page.read_text(encoding="utf-8").split()) <= 900
 
 
+def test_explanations_and_all_pages_together_are_short() -> None:
+    words = {page: len(page.read_text(encoding="utf-8").split()) for page in (pages.ROOT / "docs").rglob("*.md")}
+    assert {
+        page.stem: count for page, count in words.items() if page.parent.name == "explanation" and count > 2000
+    } == {}
+    assert sum(words.values()) <= 65_000
+
+
+# What `...` may stand for in a printed output: times, secrets, lines that the program leaves out itself, a series, or
+# lines of a table beside those shown.
+ELLIPSES = re.compile(r"\.\.\. s$|#token=\.\.\.|^\.\.\. \d+ more lines|\+ \.\.\.\)|^\.\.\.$")
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+def test_printed_outputs_are_real_numbers(page: Path) -> None:
+    blocks = re.findall(r"```(?:text|console)\n(.*?)```", page.read_text(encoding="utf-8"), re.DOTALL)
+    lines = [line.strip() for block in blocks for line in block.splitlines() if "..." in line]
+    assert [line for line in lines if not ELLIPSES.search(line)] == []
+
+
+@pytest.mark.parametrize("page", [*PAGES, *OTHER_PAGES], ids=lambda page: str(page.relative_to(pages.ROOT)))
+def test_3d_has_one_name(page: Path) -> None:
+    assert not re.search(r"\bin space\b", page.read_text(encoding="utf-8"))
+
+
 def test_the_readme_is_short() -> None:
     assert len((pages.ROOT / "README.md").read_text(encoding="utf-8").splitlines()) <= 120

@@ -113,6 +113,11 @@ def test_the_python_is_ten_lines() -> None:
     assert len([line for line in code.splitlines() if line]) == 10
 
 
+def test_the_extra_of_the_lines_is_named_before_them() -> None:
+    text = README.read_text(encoding="utf-8")
+    assert text.index('pip install ".[figures]"') < text.index("table.plot()")
+
+
 def test_the_pictures_are_small_and_one_moves() -> None:
     pictures = re.findall(r"!\[.*\]\((.*)\)", README.read_text())
     assert all((pages.ROOT / picture).stat().st_size < PICTURE_BYTES for picture in pictures)

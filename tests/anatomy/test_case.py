@@ -222,6 +222,8 @@ def test_a_part_with_body_in_its_name_is_not_the_body(name: str) -> None:
 def test_a_folder_becomes_ranked_entries(tmp_path: Path) -> None:
     folder, file = write_masks(tmp_path / "in"), tmp_path / "case.toml"
     refused(needleplan("case", folder, "--radius", "60", "-o", file), "--gauge: is required without --margin")
+    point = needleplan("case", folder, "--target-point", "0,0,0", "--radius", "60", "--gauge", "18", "-o", file)
+    refused(point, "--target-radius: is required: the target is a point")
     refused(needleplan("case", folder, "--gauge", "20", "-o", file), "--radius")
     needle = ("--radius", "60", "--gauge", "20", "-o", file)
     refused(needleplan("case", folder, *needle, "--role", "x=tissue"), "is no structure")

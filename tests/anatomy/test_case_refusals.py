@@ -213,7 +213,7 @@ def text(name: str, content: str) -> Callable[[Path], None]:
         (text("p.fcsv", "1,2,3,4\n"), {}, "coordinate system"),
         (text("p.mrk.json", markups("LPS", target=[0.0, 0.0, 0.0])), {"target_radius_mm": 3.0}, "are several: choose"),
         (lambda _: None, {"target": (500.0, 0.0, 0.0), "target_radius_mm": 3.0}, "lies outside of all"),
-        (lambda _: None, {"target": (0.0, 0.0, 0.0)}, "target radius: is required"),
+        (lambda _: None, {"target": (0.0, 0.0, 0.0)}, "target_radius_mm: is required"),
         (lambda _: None, {"target": "tumour"}, 'did you mean "tumor"'),
         (lambda _: None, {"roles": {"livr": StructureRole.TISSUE}}, 'did you mean "liver"'),
         (lambda _: None, {"entry": (0.0, 0.0, 0.0), "entry_radius_mm": 2.0}, "no skin within 2 mm"),

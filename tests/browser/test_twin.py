@@ -53,6 +53,7 @@ def test_an_insertion_is_stopped(page: Page, server: Served) -> None:
     page.locator("#twin summary").click()
     page.get_by_role("button", name="Stop").click()
     expect(output).to_have_text(re.compile(r"end: stopped"), timeout=LONG_MS)
+    assert re.search(r" risk \d+\.\d mm ", output.inner_text())
     assert server.ask("/api/inserted", {}).told["events"][-1]["text"] == "stopped in the page"
 
 

@@ -18,22 +18,19 @@ import os
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from needleplan.anatomy._case_grid import CommonGrid
+from needleplan.anatomy._case_grid import CommonGrid, TargetVoxels
 from needleplan.anatomy._file import Sphere
 from needleplan.anatomy._label_names import TABLE_ENDINGS, name_mistakes, read_label_names
 from needleplan.anatomy._markups import POINT_ENDINGS, MarkedPoint, read_points
 from needleplan.anatomy._masks import MASK_ENDINGS, Structure, read_structures, stem_of
 from needleplan.anatomy._roles import StructureRole, role_by_name
 from needleplan.anatomy._volume import LabelVolume
+from needleplan.artifacts import call_repr
 from needleplan.config import suggestion
 from needleplan.errors import Mistake, ScenarioError
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
 
 __all__ = ["AnatomyCase", "CaseChoices", "CaseStructure", "read_case"]
 
@@ -69,6 +66,8 @@ class CaseChoices:
     entry_radius_mm: float = 25.0
     roles: dict[str, StructureRole] = field(default_factory=dict)
 
+    __repr__ = call_repr
+
 
 @dataclass(frozen=True)
 class CaseStructure:
@@ -80,6 +79,8 @@ class CaseStructure:
     role: StructureRole
     reason: str
 
+    __repr__ = call_repr
+
 
 @dataclass(frozen=True, eq=False)
 class AnatomyCase:
@@ -90,6 +91,8 @@ class AnatomyCase:
     target: str | Sphere
     entry: str | Sphere
     notes: tuple[str, ...]
+
+    __repr__ = call_repr
 
     def named(self, role: StructureRole) -> list[str]:
         """Return the names of the structures with a role.
@@ -267,11 +270,11 @@ def _region(
             return None
         position = marked[0].position_mm
     if radius_mm is None:
-        raise ScenarioError(Mistake(f"{key} radius", "", f"is required: the {key} is a point"), source)
+        raise ScenarioError(Mistake(f"{key}_radius_mm", "", f"is required: the {key} is a point"), source)
     return Sphere(position, radius_mm)
 
 
-def _decided(structure: Structure, role: StructureRole, reason: str, held: _Holder) -> tuple[StructureRole, str]:
+def _decided(structure: Structure, role: StructureRole, reason: str, held: TargetVoxels) -> tuple[StructureRole, str]:
     """Return role and reason, where an organ is tissue or an obstacle."""
     if role is not StructureRole.ORGAN:
         return role, reason
@@ -288,20 +291,6 @@ def _resampled(grid: CommonGrid, structures: Sequence[Structure]) -> list[str]:
     return told + ([f"resampled by the nearest voxel: {', '.join(other)}"] if other else [])
 
 
-@dataclass(frozen=True, eq=False)
-class _Holder:
-    """Positions (RAS mm) in the target and next to it, shape (n, 3), which an organ may hold."""
-
-    points_mm: NDArray[np.float64]
-
-    def is_in(self, structure: Structure) -> bool:
-        """Return whether a structure holds one of the positions."""
-        inverse = np.linalg.inv(structure.affine[:3, :3]).T
-        place = np.floor((self.points_mm - structure.affine[:3, 3]) @ inverse + 0.5).astype(np.int64) - structure.corner
-        within = ((place >= 0) & (place < structure.inside.shape)).all(-1)
-        return bool(structure.inside[tuple(place[within].T)].any())
-
-
 class _Merge:
     """The labels of a case while structures are painted, later ones over earlier ones."""
 
@@ -315,19 +304,19 @@ class _Merge:
         self._overlaps: list[tuple[float, str, str]] = []
         self._voxel_ml = float(abs(np.linalg.det(grid.affine[:3, :3]))) / 1000
 
-    def holder(self, structure: Structure | None, target: str | Sphere) -> _Holder:
+    def holder(self, structure: Structure | None, target: str | Sphere) -> TargetVoxels:
         """Return the positions of the target: of the voxels of its structure, or the centre of its ball."""
         if structure is None:
             assert isinstance(target, Sphere)
             self._target_mm = np.array(target.center_mm)
-            return _Holder(self._target_mm[None])
+            return TargetVoxels(self._target_mm[None])
         voxels = np.argwhere(structure.inside) + structure.corner
         # Voxels beside those of the target, too: a segmentation may have cut the target out of the organ.
         steps = np.concatenate([np.zeros((1, 3), int), np.eye(3, dtype=int), -np.eye(3, dtype=int)])
         neighbours = voxels[:, None] + steps
         points = neighbours.reshape(-1, 3) @ structure.affine[:3, :3].T + structure.affine[:3, 3]
         self._target_mm = points.mean(0)
-        return _Holder(points)
+        return TargetVoxels(points)
 
     def paint(self, structure: Structure, role: StructureRole) -> None:
         """Give the voxels of a structure its label."""
@@ -349,7 +338,7 @@ class _Merge:
         self.numbers[structure.name], self._roles[number] = number, role
         self.has_body |= role is StructureRole.BODY
 
-    def require_within(self, target: _Holder) -> None:
+    def require_within(self, target: TargetVoxels) -> None:
         """Note a mistake if what is around the target is in no structure, as in a mask of the skin that is a shell."""
         voxels = np.floor(self.grid.voxels(target.points_mm) + 0.5).astype(np.int64)
         labels = self.labels[tuple(voxels[((voxels >= 0) & (voxels < self.grid.shape)).all(-1)].T)]

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
     from needleplan.anatomy._masks import Structure
 
-__all__ = ["CommonGrid"]
+__all__ = ["CommonGrid", "TargetVoxels"]
 
 # Largest difference, in voxels, between grids that count as the same.
 _SAME_VOXELS = 1e-2
@@ -110,3 +110,17 @@ def _whole_voxels(boxes: list[tuple[NDArray[np.float64], NDArray[np.float64]]]) 
 def _slices(first: NDArray[np.int64], last: NDArray[np.int64]) -> tuple[slice, slice, slice]:
     i, j, k = (slice(int(a), int(b)) for a, b in zip(first, last, strict=True))
     return i, j, k
+
+
+@dataclass(frozen=True, eq=False)
+class TargetVoxels:
+    """Positions (RAS mm) in the target and next to it, shape (n, 3), which an organ may hold."""
+
+    points_mm: NDArray[np.float64]
+
+    def is_in(self, structure: Structure) -> bool:
+        """Return whether a structure holds one of the positions."""
+        inverse = np.linalg.inv(structure.affine[:3, :3]).T
+        place = np.floor((self.points_mm - structure.affine[:3, 3]) @ inverse + 0.5).astype(np.int64) - structure.corner
+        within = ((place >= 0) & (place < structure.inside.shape)).all(-1)
+        return bool(structure.inside[tuple(place[within].T)].any())

@@ -13,7 +13,6 @@ from dataclasses import dataclass
 from needleplan.anatomy._breathing import Breathing
 from needleplan.anatomy._labels import LabelRule, LabelsRule
 from needleplan.anatomy._limits import SpaceLimits
-from needleplan.artifacts import short_html, short_repr
 from needleplan.config import (
     ConfigTable,
     Flag,
@@ -352,9 +351,6 @@ class AnatomyFile(
     title: str = ruled(Text(), "")
     limits: SpaceLimits | None = ruled(Maybe(Subtable(SpaceLimits)), None)
     breathing: Breathing | None = ruled(Maybe(Subtable(Breathing)), None)
-
-    __repr__ = short_repr
-    _repr_html_ = short_html
 
     @classmethod
     def from_toml(cls, text: str, source: str = "") -> AnatomyFile:

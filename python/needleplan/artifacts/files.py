@@ -16,6 +16,7 @@ from typing import Any
 
 from needleplan.artifacts.path_text import path_text
 from needleplan.artifacts.read_files import was_read
+from needleplan.artifacts.short_repr import short_html
 from needleplan.errors import InputError, Mistake, OutputError
 
 __all__ = [
@@ -68,6 +69,8 @@ class Parent:
 
     name: str
     digest: str
+
+    _repr_html_ = short_html
 
 
 def digest(content: str | bytes | memoryview) -> str:

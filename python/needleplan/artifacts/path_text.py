@@ -9,6 +9,9 @@ from needleplan.errors import InputError, Mistake
 
 __all__ = ["path_text"]
 
+# Length of the text of a wrong value beyond which its class is named instead.
+_LONGEST = 60
+
 
 def path_text(path: Any, error: type[InputError], kind: str = "a file") -> str:
     """Return a path as text.
@@ -41,5 +44,8 @@ def path_text(path: Any, error: type[InputError], kind: str = "a file") -> str:
     """
     text = os.fspath(path) if isinstance(path, str | os.PathLike) else None
     if not isinstance(text, str) or not text:
-        raise error(Mistake("path", repr(path), f"must be the path of {kind}"))
+        shown = repr(path)
+        # The text of a table or an array has several lines.
+        shown = f"<{type(path).__name__}>" if len(shown) > _LONGEST or "\n" in shown else shown
+        raise error(Mistake("path", shown, f"must be the path of {kind}"))
     return text

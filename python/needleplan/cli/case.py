@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from needleplan.cli.answer import note, print_json, print_summary, working
-from needleplan.cli.options import add_answer, add_output, require_ending, require_outputs, split_numbers
+from needleplan.cli.options import add_answer, add_output, options_named, require_ending, require_outputs, split_numbers
 from needleplan.cli.parser import whole
 from needleplan.errors import InputError, Mistake
 
@@ -18,6 +18,13 @@ if TYPE_CHECKING:
 
 __all__ = ["add_to"]
 
+# Options by the argument of `read_case` that they give.
+_KEYS = {
+    "target": "--target-point",
+    "entry": "--entry-point",
+    "target_radius_mm": "--target-radius",
+    "entry_radius_mm": "--entry-radius",
+}
 _ROLES = ("target", "entry", "obstacle", "tissue", "body", "ignored")
 
 
@@ -70,7 +77,7 @@ def _run_case(options: argparse.Namespace) -> int:
         rule = f"must be a file outside of {options.folder}, which is read: a volume lies beside it"
         raise InputError(Mistake("--output", options.output, rule))
     require_outputs(options, [], options.output, *map(str, case_files(file)))
-    with working(options, "reading the segmentations"):
+    with working(options, "reading the segmentations"), options_named(_KEYS):
         case = read_case(options.folder, choices)
         write_case(case, file, curvature_radius_mm=options.radius, gauge=options.gauge, margin_mm=options.margin)
     if options.json:

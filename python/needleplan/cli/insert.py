@@ -19,6 +19,7 @@ from needleplan.cli.interrupt import handled_signals, needle_moves
 from needleplan.cli.options import (
     add_table,
     numbers,
+    options_named,
     require_inputs_kept,
     require_outputs,
     safety_limits,
@@ -258,10 +259,8 @@ def _gate(options: argparse.Namespace, plan: InsertPlan) -> BreathGate | None:
         raise InputError(Mistake("--gate", f"{options.gate:g}", "needs a 3D table of an anatomy with [breathing]"))
     if not 0 < options.gate <= breathing.full_mm:
         raise InputError(Mistake("--gate", f"{options.gate:g}", f"must be mm above 0, at most {breathing.full_mm:g}"))
-    try:
+    with options_named({"gate": "--gate"}):
         return BreathGate(breathing, options.gate)
-    except InputError as error:
-        raise InputError([replace(mistake, key="--gate") for mistake in error.mistakes]) from None
 
 
 def _clock_time(unix_s: float, station: Station) -> float:

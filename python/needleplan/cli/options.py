@@ -6,7 +6,9 @@ import argparse
 import math
 import os
 import shlex
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -34,6 +36,7 @@ __all__ = [
     "guide_line",
     "guide_record",
     "numbers",
+    "options_named",
     "pose_record",
     "read_any_table",
     "read_table",
@@ -53,6 +56,16 @@ EDGES = ("left", "right", "bottom", "top")
 
 # Largest heading on the command line (degrees): one full turn, as for headings in Python.
 _FULL_TURN_DEG = 360.0
+
+
+@contextmanager
+def options_named(options: Mapping[str, str]) -> Iterator[None]:
+    """Name options in the mistakes of a function instead of the arguments that they give; maps arguments to options."""
+    try:
+        yield
+    except InputError as error:
+        found = [replace(mistake, key=options.get(mistake.key, mistake.key)) for mistake in error.mistakes]
+        raise type(error)(found, error.source) from None
 
 
 def add_table(parser: argparse.ArgumentParser) -> None:

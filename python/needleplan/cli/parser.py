@@ -139,7 +139,7 @@ class Parser(argparse.ArgumentParser):
             if value in self._renamed:
                 self.error(f"{value} is now {self._renamed[value]}: `{self.prog} {self._renamed[value]} --help`")
             rule = f'there is no command "{value}"{suggestion(str(value), words)}'
-            self.error(f"{rule} (`{self.prog} --help` lists the commands)")
+            self.error(f"{rule} (`{self.prog} --help` lists the commands, `{self.prog} COMMAND --help` explains one)")
         rule = f'must be one of {", ".join(words)}, not "{value}"{suggestion(str(value), words)}'
         raise argparse.ArgumentError(action, rule)
 

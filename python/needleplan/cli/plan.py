@@ -6,9 +6,9 @@ import argparse
 import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
-from needleplan.artifacts import FileKind, file_format
+from needleplan.artifacts import FileKind, call_repr, file_format
 from needleplan.cli.answer import by_table, complain, note, percent, print_json, print_summary, working
 from needleplan.cli.options import (
     EDGES,
@@ -63,6 +63,8 @@ class Replaced:
     place: str
     found: Identified
     file: str
+
+    __repr__ = call_repr
 
     def record(self) -> dict[str, Any]:
         """Return the JSON record of the replacement. Limits of the interval are None if there is no interval."""
@@ -143,10 +145,10 @@ def run(options: argparse.Namespace) -> int:
         raise InputError(Mistake("--after", options.after[0], rule))
     if options.stream:
         raise InputError(Mistake("--stream", "", "needs an anatomy; tables in the plane are solved in memory"))
-    from needleplan.scenario import Scenario
+    from needleplan.planning import read_problem
 
     options.edge = options.edge or EDGES[0]
-    scenario, identified = with_identified(Scenario.read(options.scenario), options)
+    scenario, identified = with_identified(cast("Scenario", read_problem(options.scenario)), options)
     shift_mm = _target_shift_mm(scenario, options)
     if shift_mm is not None:
         scenario = replace(scenario, target=replace(scenario.target, radius_mm=scenario.target.radius_mm - shift_mm))

@@ -19,6 +19,7 @@ from needleplan.cli.options import (
     add_start,
     add_table,
     add_verify_key,
+    options_named,
     read_any_table,
     require_outputs,
 )
@@ -131,7 +132,8 @@ def _run_evaluate(options: argparse.Namespace) -> int:
     table = read_any_table(options)
     poses = poses_of(table)
     how, start = poses.nearest_choice(options.nearest), poses.start(options.start)
-    with ended_at_once(), working(options, f"executing the policy {options.runs:,} times"):
+    named = options_named({"runs": "--runs", "seed": "--seed"})
+    with named, ended_at_once(), working(options, f"executing the policy {options.runs:,} times"):
         found = table.rollout(start, options.runs, options.seed, **how)
     low, high = found.interval
     if disagrees(found):

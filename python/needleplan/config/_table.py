@@ -117,7 +117,7 @@ class ConfigTable:
     ) -> None:
         super().__init_subclass__()
         if "__repr__" not in cls.__dict__:
-            cls.__repr__ = call_repr  # type: ignore[method-assign]
+            type.__setattr__(cls, "__repr__", call_repr)  # an assignment would hide the types from editors
         for name, value in (("key", key), ("error", error), ("schema", schema), ("between", between)):
             if value is not None:
                 setattr(cls, name, value)
@@ -293,6 +293,8 @@ class Keyed:
     """Maps each key that must be present to an explanation for messages, which may be empty."""
 
     others: Rule | None = None
+
+    __repr__ = call_repr
 
     def read(self, value: object) -> dict[str, Any]:
         """Return the values by key. Raises Violation."""

@@ -154,6 +154,8 @@ def raw_toml(text: str, error: type[InputError], source: str = "") -> dict[str, 
     InputError
         The text is not TOML. The class is `error`.
     """
+    if not isinstance(text, str):
+        raise error(Mistake("text", f"<{type(text).__name__}>", "must be the text of a TOML file"), source)
     try:
         return tomllib.loads(text)
     except (ValueError, RecursionError) as wrong:

@@ -132,11 +132,14 @@ class NeedleDriver:
             return wait_s or (0.0 if open_s >= part_s else gate.breathing.period_s + open_s - gate.longest_s)
 
         if (wait_s := waits_s()) > 0:
-            off_mm = gate.off_mm(self._clock.now_ns() * 1e-9)
-            text = (
-                f"{wait_s:.1f} s until the tissue is within {gate.within_mm:g} mm of the plan; now {off_mm:.1f} mm off"
+            now_s = self._clock.now_ns() * 1e-9
+            closed_s, open_s = gate.window(now_s)
+            why = (
+                f"until the tissue is within {gate.within_mm:g} mm of the plan; now {gate.off_mm(now_s):.1f} mm off"
+                if closed_s
+                else f"until the gate opens again: open for {open_s:.1f} s more, the motion takes {part_s:.1f} s"
             )
-            self._tell(RunEventName.WAITING, "breathing", text)
+            self._tell(RunEventName.WAITING, "breathing", f"{wait_s:.1f} s {why}")
             self.wait_until(lambda: waits_s() <= 0, wait_s + _DURATION_S, "gate: did not open")
         left_mm = path_mm - here_mm
         return path_mm if part_s == needed_s else here_mm + math.copysign(speed * (part_s - _ENDS_S), left_mm)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import StrEnum
 
-from needleplan.artifacts import short_html, short_repr
+from needleplan.artifacts import call_repr, short_html, short_repr
 from needleplan.control.safety import SafetyEvent
 from needleplan.devices import Sample
 from needleplan.estimation.tip import TipEstimate
@@ -65,6 +65,8 @@ class RunEvent:
     text: str
     step: int
     digest: str = ""
+
+    __repr__ = call_repr
 
 
 class CommandKind(StrEnum):

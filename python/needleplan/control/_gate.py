@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from needleplan.anatomy import Breathing
+from needleplan.artifacts import call_repr
 from needleplan.errors import InputError, Mistake
 
 __all__ = ["BreathGate"]
@@ -55,6 +56,8 @@ class BreathGate:
 
     longest_s: float = field(init=False, repr=False)
     """Longest time (s) for which the gate is open in a breath."""
+
+    __repr__ = call_repr
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "spans_s", self._spans())

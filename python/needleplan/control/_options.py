@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields, replace
 from typing import TYPE_CHECKING, Any, Self
 
+from needleplan.artifacts import call_repr
 from needleplan.control._gate import BreathGate
 from needleplan.control.safety import SafetyLimits
 from needleplan.errors import DataError, InputError, Mistake
@@ -120,6 +121,8 @@ class Options:
     force_axis: tuple[float, float, float] = (0.0, 0.0, 1.0)
     """Unit vector in the frame of the force sensor, in the direction of a force that resists insertion."""
 
+    __repr__ = call_repr
+
     def __post_init__(self) -> None:
         mistakes = [
             Mistake(name, f"{getattr(self, name):g}", "must be a number above 0")
@@ -161,6 +164,8 @@ class RunSetup:
     accepted: str = ""
     fibre: FibreSensors | None = None
     plane: ImagePlane | None = None
+
+    __repr__ = call_repr
 
     @property
     def digests(self) -> dict[str, str]:

@@ -9,6 +9,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum
 
+from needleplan.artifacts import call_repr
 from needleplan.control._deadman_link import Deadman
 from needleplan.control.safety import GuardedStage, SafetyLimits, Watchdog
 from needleplan.devices import Stage, open_stage
@@ -53,6 +54,8 @@ class RetractionReport:
     began_mm: float | None
     ended_mm: float | None
     rest: Rest = Rest.UNKNOWN
+
+    __repr__ = call_repr
 
 
 def open_stage_patiently(address: str, wait_s: float, on_wait: Callable[[str], None]) -> Stage:

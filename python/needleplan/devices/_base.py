@@ -15,6 +15,7 @@ from enum import StrEnum
 from types import TracebackType
 from typing import Protocol, Self
 
+from needleplan.artifacts import call_repr
 from needleplan.devices.supervision import StageSupervisor
 
 __all__ = [
@@ -97,6 +98,8 @@ class ForceSample:
     health: Health = Health.GOOD
     notes: tuple[str, ...] = field(default=())
 
+    __repr__ = call_repr
+
 
 @dataclass(frozen=True)
 class PoseSample:
@@ -113,6 +116,8 @@ class PoseSample:
     health: Health = Health.GOOD
     notes: tuple[str, ...] = field(default=())
 
+    __repr__ = call_repr
+
 
 @dataclass(frozen=True)
 class FibreSample:
@@ -127,6 +132,8 @@ class FibreSample:
     health: Health = Health.GOOD
     notes: tuple[str, ...] = field(default=())
 
+    __repr__ = call_repr
+
 
 @dataclass(frozen=True)
 class ImageSample:
@@ -140,6 +147,8 @@ class ImageSample:
     v_mm: float
     health: Health = Health.GOOD
     notes: tuple[str, ...] = field(default=())
+
+    __repr__ = call_repr
 
 
 @dataclass(frozen=True)
@@ -156,6 +165,8 @@ class StageSample:
     moving: bool
     health: Health = Health.GOOD
     notes: tuple[str, ...] = field(default=())
+
+    __repr__ = call_repr
 
 
 class Device(Closing):

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 from typing import TypeVar
 from urllib.parse import parse_qsl, urlsplit
 
+from needleplan.artifacts import call_repr
 from needleplan.config import suggestion
 from needleplan.devices._links import Link, SerialLink, TcpLink, UdpLink
 from needleplan.errors import AddressError, Mistake
@@ -34,6 +35,8 @@ class Address:
     port: int | None = None
     path: str = ""
     options: Mapping[str, str] = field(default_factory=dict)
+
+    __repr__ = call_repr
 
     @classmethod
     def parse(cls, text: str) -> Address:

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from typing import TYPE_CHECKING, TypeVar
 
+from needleplan.artifacts import call_repr
 from needleplan.bystander import WITHIN_S, StopOutcome
 from needleplan.devices._base import Closing, Device, ForceSensor, Sample, SampledDevice, Stage, Tracker
 from needleplan.devices._clock import Clock, SystemClock, VirtualClock
@@ -91,6 +92,8 @@ class Station(Closing):
     more: Mapping[Source, SampledDevice] = field(default_factory=dict, kw_only=True)
     fibre: FibreSensors | None = field(default=None, kw_only=True)
     plane: ImagePlane | None = field(default=None, kw_only=True)
+
+    __repr__ = call_repr
 
     @property
     def devices(self) -> dict[Source, SampledDevice]:

@@ -17,6 +17,7 @@ from itertools import pairwise
 import numpy as np
 from scipy.special import stdtrit
 
+from needleplan.artifacts import call_repr
 from needleplan.diagnosis._constants import CHANCE, LEAST_SHARE, SCATTER, SCATTER_FREEDOM, SIGNIFICANT, SURE_NATS
 from needleplan.diagnosis._decision import DiagnosisDecision
 from needleplan.diagnosis._hypothesis import Hypothesis
@@ -88,6 +89,8 @@ class OtherParameter:
     departs: bool
     unit: str
 
+    __repr__ = call_repr
+
     @classmethod
     def of(cls, name: str, estimate: Estimate, given: float, known: Estimate | None, trials: int) -> OtherParameter:
         """Return a parameter with its estimate in the data, its given value, and its estimate in the model file.
@@ -150,6 +153,8 @@ class OtherLaw:
     multiple: float
     """RMS of its deviation, in units of the noise RMS."""
 
+    __repr__ = call_repr
+
     def __str__(self) -> str:
         odds = f"{math.exp(self.nats):.0f} to 1" if self.nats < math.log(1e4) else "above 10,000 to 1"
         size = f"odds {odds}; RMS {self.multiple:.1f} times the noise"
@@ -196,6 +201,8 @@ class GapBudget:
 
     readings: dict[str, int] = field(default_factory=dict)
     """Number of readings by trial, its weight in a mean; by default all trials count alike."""
+
+    __repr__ = call_repr
 
     def stages(self, role: str = "") -> tuple[GapStage, ...]:
         """Return the stages of the trials of a role together; by default of training and held-out trials.

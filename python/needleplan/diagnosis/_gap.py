@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtrc
 
+from needleplan.artifacts import call_repr
 from needleplan.diagnosis._constants import REST_SPEED_SHARE
 from needleplan.diagnosis._evidence import Columns
 from needleplan.diagnosis._hypothesis import Hypothesis
@@ -194,6 +195,8 @@ class Curve:
     inside: NDArray[np.bool_]
     """Whether each node lies in the visited range; at other nodes `sd` approaches that of the prior."""
 
+    __repr__ = call_repr
+
 
 @dataclass(frozen=True)
 class Curves:
@@ -203,6 +206,8 @@ class Curves:
     unit: str
     curves: tuple[Curve, ...]
     prior_sd: float
+
+    __repr__ = call_repr
 
     @property
     def rms(self) -> float:

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from needleplan.artifacts import call_repr
 from needleplan.diagnosis._factors import directions
 from needleplan.diagnosis.calibration import Calibration
 from needleplan.diagnosis.catalogue import Library
@@ -37,6 +38,8 @@ class Isolability:
 
     effects: tuple[str, ...]
     imitated: Array
+
+    __repr__ = call_repr
 
     def alike(self) -> tuple[tuple[str, str, float], ...]:
         """Return the pairs (effect, imitator, imitated share) with a share of at least 0.8, the largest first."""

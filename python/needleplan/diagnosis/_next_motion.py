@@ -20,7 +20,7 @@ from functools import cached_property
 import numpy as np
 from scipy.special import logsumexp
 
-from needleplan.artifacts import short_html, short_repr
+from needleplan.artifacts import call_repr, short_html, short_repr
 from needleplan.diagnosis._components import Components
 from needleplan.diagnosis._constants import AMPLITUDE_SCALES
 from needleplan.diagnosis._decision import Verdict
@@ -52,6 +52,8 @@ class CandidateMotion:
     program: Program | None = None
     repeats: str = ""
     """Name of the trial that the motion repeats; empty if it repeats no trial."""
+
+    __repr__ = call_repr
 
     @property
     def about(self) -> str:
@@ -88,10 +90,8 @@ class NextTrials:
     @property
     def why(self) -> str:
         """Reason for the motions, in two sentences."""
-        count = len(self.motions)
-        trials = "One trial" if count == 1 else f"{count} trials"
-        names = ", then ".join(motion.name for motion in self.motions)
-        again = "once more" if count == 1 else f"{count} times more"
+        count, names = len(self.motions), ", then ".join(motion.name for motion in self.motions)
+        trials, again = ("One trial", "once more") if count == 1 else (f"{count} trials", f"{count} times more")
         return (
             f"Open: {self.question}. {trials} of {names} should give {self.bits:.2f} bits; the last motion, {again}, "
             f"{self.repeated_bits:.2f} bits."

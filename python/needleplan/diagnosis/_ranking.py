@@ -10,6 +10,7 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
+from needleplan.artifacts import call_repr
 from needleplan.diagnosis._evidence import squared_residuals
 from needleplan.diagnosis._posterior import log_prior
 from needleplan.diagnosis._result import Diagnosis
@@ -33,6 +34,8 @@ class RankedHypothesis:
 
     because: str
     """Why the hypothesis lost, in one sentence; for the first row, why it won."""
+
+    __repr__ = call_repr
 
     @property
     def words(self) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, fields
 
+from needleplan.artifacts import call_repr
 from needleplan.config import ConfigTable, Number, ruled
 from needleplan.errors import DataError
 
@@ -29,6 +30,8 @@ class Setting:
     unit: str
     effect: str
     reason: str
+
+    __repr__ = call_repr
 
 
 @dataclass(frozen=True)

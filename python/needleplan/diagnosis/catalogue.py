@@ -9,7 +9,7 @@ from functools import cached_property
 
 import numpy as np
 
-from needleplan.artifacts import digest
+from needleplan.artifacts import call_repr, digest
 from needleplan.diagnosis._constants import GRID_MARGIN, PARAMETER_FACTOR
 from needleplan.errors import Mistake, ModelError
 from needleplan.models import Estimate, Model, Scale
@@ -44,6 +44,8 @@ class CatalogueEntry:
     grid: tuple[Mapping[str, float], ...]
     first: int
     """Index of the entry's first column in the sensitivities of all entries. Equal grids share their columns."""
+
+    __repr__ = call_repr
 
     @cached_property
     def words(self) -> str:
@@ -99,6 +101,8 @@ class Library:
     effects: Sequence[Effect]
     nominal: Model
     _kept: dict[tuple[str, str], Array] = field(default_factory=dict, repr=False)
+
+    __repr__ = call_repr
 
     def entries(self, motions: Sequence[Motion]) -> tuple[CatalogueEntry, ...]:
         """Return the catalogue entries of all effects that can be added to the nominal base model.
@@ -219,6 +223,8 @@ class FittedEffect:
     given: bool = False
     """Whether the given model has the effect already: it is then in every hypothesis, and in the references too."""
 
+    __repr__ = call_repr
+
     def in_trial(self, number: int) -> FittedEffect:
         """Return the effect with the values of one trial; a trial that was not fitted has those of the first one."""
         return replace(self, values={**self.values, **dict(*self.own[number : number + 1])}, own=())
@@ -250,6 +256,8 @@ class DetectionLimit:
 
     at: Mapping[str, float]
     """Grid point for which the limit holds."""
+
+    __repr__ = call_repr
 
 
 def with_effects(model: Model, effects: Sequence[FittedEffect]) -> Model:

@@ -15,6 +15,7 @@ from functools import lru_cache
 
 import numpy as np
 
+from needleplan.artifacts import call_repr
 from needleplan.diagnosis._constants import (
     ACROSS_RATIO,
     FORCE_LAG_S,
@@ -82,6 +83,8 @@ class ChannelDescription:
 
     linear_parameters: tuple[str, ...] = ()
     """Well known parameters that enter linearly: they keep their values in a calibration and are only linearised."""
+
+    __repr__ = call_repr
 
 
 def at_depth(depth_mm: Array, places: Array, rows: Array) -> Array:

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from filterpy.kalman import ExtendedKalmanFilter
 
+from needleplan.artifacts import call_repr
 from needleplan.errors import DataError, Mistake
 from needleplan.estimation._joint_system import JointSystem
 from needleplan.models import Channel, Model
@@ -66,6 +67,8 @@ class FilterStep:
     sd: float
     x: Array
     x_sd: Array
+
+    __repr__ = call_repr
 
 
 class ScalarKalmanFilter(ExtendedKalmanFilter):  # type: ignore[misc]

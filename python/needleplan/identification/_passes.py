@@ -23,7 +23,7 @@ from enum import StrEnum
 import numpy as np
 from numpy.typing import NDArray
 
-from needleplan.artifacts import short_html, short_repr
+from needleplan.artifacts import call_repr, short_html, short_repr
 from needleplan.errors import DataError, Mistake
 from needleplan.estimation import FilterSample, FilterStep, JointFilter, JointSystem, SampleUse
 from needleplan.models import Model, simulate
@@ -66,6 +66,8 @@ class Recipe:
     settle: int = 5
     reach: float = 1.5
     limit: float = 0.1
+
+    __repr__ = call_repr
 
     def __post_init__(self) -> None:
         if len(self.variances) != len(self.spreads) or not self.variances:

@@ -11,7 +11,7 @@ from typing import Self
 
 import numpy as np
 
-from needleplan.artifacts import short_html, short_repr, write_whole
+from needleplan.artifacts import call_repr, short_html, short_repr, write_whole
 from needleplan.config import ConfigTable, TableList, Text, parse_toml, ruled, shipped_names, text_of, toml_text
 from needleplan.errors import DataError, Mistake, ModelError
 from needleplan.identification._identification import Identification
@@ -43,6 +43,8 @@ class Match:
 
     combination: Combination
     velocity_ratio: float
+
+    __repr__ = call_repr
 
 
 @dataclass(frozen=True)

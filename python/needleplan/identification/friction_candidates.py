@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from needleplan.artifacts import call_repr
 from needleplan.models import Fit, Model, fit, simulate
 from needleplan.models.friction import (
     AveragedLuGre,
@@ -44,6 +45,8 @@ class Candidate:
     model: Model
     free: tuple[str, ...]
 
+    __repr__ = call_repr
+
 
 @dataclass(frozen=True)
 class Score:
@@ -57,6 +60,8 @@ class Score:
     fit: Fit
     held_out_rmse_n: float
     bic: float
+
+    __repr__ = call_repr
 
 
 def candidates(

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from needleplan.artifacts import call_repr
 from needleplan.config import raw_of, toml_text
 from needleplan.errors import DataError, Mistake
 from needleplan.identification._curvature_trial import insertion_of
@@ -49,6 +50,8 @@ class ScenarioPart:
     pieces: tuple[PathPiece, ...]
     noise: TipNoise | None
     remarks: tuple[str, ...]
+
+    __repr__ = call_repr
 
     def lines(self) -> list[str]:
         """Return the lines of the tables [needle], [[needle.layer]] and [motion] of the scenario file."""

@@ -91,7 +91,7 @@ class Model(ABC):
         """Insert the list of parameters into the docstring of a subclass, unless the docstring already has one."""
         super().__init_subclass__(**options)
         if "__repr__" not in cls.__dict__:
-            cls.__repr__ = call_repr  # type: ignore[method-assign]
+            type.__setattr__(cls, "__repr__", call_repr)  # an assignment would hide the types from editors
         section = parameter_section(cls)
         if cls.__doc__ and section and "Parameters\n" not in cls.__doc__:
             words, examples, code = inspect.cleandoc(cls.__doc__).partition("\nExamples\n")
@@ -102,7 +102,7 @@ class Model(ABC):
         for name, parameter in parameters_of(self).items():
             value = getattr(self, name)
             if not isinstance(value, (int, float, np.number)) or isinstance(value, bool):
-                mistakes.append(Mistake(name, str(value), f"must be a number in {parameter.unit or '1'}"))
+                mistakes.append(Mistake(name, repr(value), f"must be a number in {parameter.unit or '1'}"))
             elif (near := parameter.in_range(float(value))) is None:  # also for NaN
                 mistakes.append(Mistake(name, f"{value:.10g}", parameter.range_rule()))
             else:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import StrEnum
 
-from needleplan.artifacts import short_html, short_repr
+from needleplan.artifacts import call_repr, short_html, short_repr
 from needleplan.models._base import Model
 from needleplan.signals import Array
 
@@ -67,6 +67,9 @@ class Estimate:
     unit: str
     identified: bool
     between_sd: float | None = None
+
+    __repr__ = call_repr
+    _repr_html_ = short_html
 
 
 @dataclass(frozen=True)

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from needleplan.artifacts import call_repr, short_html
 from needleplan.errors import Mistake, ModelError
 from needleplan.models._base import Model
 from needleplan.models.effects import AugmentedModel
@@ -69,6 +70,9 @@ class InPlane:
     along_mm: Array
     heading_rad: float
     elevation_rad: float
+
+    __repr__ = call_repr
+    _repr_html_ = short_html
 
     @property
     def curvature_per_mm(self) -> Array:

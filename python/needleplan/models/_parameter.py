@@ -10,6 +10,8 @@ from enum import StrEnum
 from functools import cache
 from typing import Any
 
+from needleplan.artifacts import call_repr, short_html
+
 __all__ = ["Parameter", "Scale", "constant", "parameter", "parameter_section", "parameters_of"]
 
 
@@ -68,6 +70,9 @@ class Parameter:
     scale: Scale
     typical: float
     free: bool
+
+    __repr__ = call_repr
+    _repr_html_ = short_html
 
     def in_range(self, value: float) -> float | None:
         """Return a value within the range, the bound for a value beyond it by rounding errors, or None.

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from needleplan.artifacts import short_html
 from needleplan.errors import DataError, Mistake
 from needleplan.models._estimates import Fit
 from needleplan.signals import UNITS, Array, Motion, Record
@@ -66,6 +67,8 @@ class Finding:
     statistic: float
     p_value: float | None
     says: str
+
+    _repr_html_ = short_html
 
 
 def residual_findings(found: Fit, records: Sequence[Record]) -> tuple[Finding, ...]:

@@ -17,7 +17,8 @@ from needleplan.page._files import LANGUAGES, PageFiles
 from needleplan.page._packing import pack, plain, shares
 from needleplan.page._queue import PlanQueue
 from needleplan.page._recorded import recorded_plan, track_message
-from needleplan.page._requests import Request, draft_of, scenario_of, start_of
+from needleplan.page._requests import Request, best_success, draft_of, scenario_of, start_of
+from needleplan.page._risk import nearest_risk
 from needleplan.planning import Outcome, Pose, resolution_of
 from needleplan.scenario import Scenario, shipped
 
@@ -164,6 +165,8 @@ class Page:
         }
         start, automatic = start_of(request, table, is_draft=header["draft"])
         described, arrays = _path_answer(table, table.path(start))
+        if not header["draft"]:
+            header["best_success"] = best_success(request, table)
         return pack(
             {**header, "automatic": automatic, **described}, {**arrays, **_field_of(table, request.get("heading_deg"))}
         )
@@ -281,6 +284,7 @@ def _path_answer(table: PolicyTable, path: Path) -> tuple[dict[str, Any], dict[s
         "cost": path.cost,
         "predicted_success": decision.success,
         "predicted_cost": decision.value,
+        "risk": nearest_risk(table.scenario, path.points_mm),
     }
     return header, {"poses": path.poses.astype(np.float32), "actions": path.actions}
 

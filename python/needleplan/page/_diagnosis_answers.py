@@ -124,6 +124,7 @@ def _told(opened: DiagnosisFile) -> dict[str, Any]:
         "effects": [
             {name: each[name] for name in ("title", "meaning", "equation", "source")}
             | {"parameters": [_parameter(name, value) for name, value in each["parameters"].items()]}
+            | {"share": _finite(each.get("share", 0.0))}
             for each in document["effects"]
         ],
         "hypotheses": [

@@ -177,13 +177,13 @@ class _PlaneTwinRun(_TwinRun):
     def __init__(self, table: PolicyTable, start: Pose, seed: int, error: float) -> None:
         expected = (start.x_mm, start.y_mm, start.heading_rad)
         super().__init__(table, start, seed, error, expected)
-        self._about["plan"] = table.scenario.digest
+        self._about["plan"], self._scenario = table.scenario.digest, table.scenario
 
     def _row(self, tip: TipEstimate) -> tuple[float, float, float]:
         return tip.x_mm, tip.y_mm, tip.heading_rad
 
     def _packed(self, header: dict[str, Any], tip: NDArray[np.float64], force: NDArray[np.float64]) -> bytes:
-        return packed_track(header | {"error_mm": self._error_mm}, tip[:, :4], force)
+        return packed_track(header | {"error_mm": self._error_mm}, self._scenario, tip[:, :4], force)
 
 
 class _SpaceTwinRun(_TwinRun):

@@ -8,6 +8,7 @@ import numpy as np
 
 from needleplan.errors import DataError
 from needleplan.page._packing import pack
+from needleplan.page._risk import risk_distances
 from needleplan.planning import Pose
 from needleplan.scenario import Scenario
 
@@ -45,7 +46,7 @@ def track_message(recording: Recording) -> bytes:
     tip = np.stack([columns["time_s"] - begin_s, *(columns[name] for name in ("x_mm", "y_mm", "heading_rad"))], axis=1)
     decisions, events = messages_of(recording, _plane_decision)
     header = {"duration_s": recording.duration_s, "decisions": decisions, "events": events}
-    return packed_track(header, tip, force_along(recording))
+    return packed_track(header, recorded_plan(recording)[0], tip, force_along(recording))
 
 
 def force_along(recording: Recording) -> NDArray[np.float64]:
@@ -77,13 +78,17 @@ def _plane_decision(values: Any) -> dict[str, Any]:
     return {"x_mm": values["pose"][0], "y_mm": values["pose"][1]} | _some(values, ("action", "success"))
 
 
-def packed_track(header: Mapping[str, Any], tip: NDArray[np.float64], force: NDArray[np.float64]) -> bytes:
+def packed_track(
+    header: Mapping[str, Any], scenario: Scenario, tip: NDArray[np.float64], force: NDArray[np.float64]
+) -> bytes:
     """Return the message on an insertion.
 
     Parameters
     ----------
     header : dict
         `duration_s`, `decisions` and `events`, with times in s.
+    scenario : Scenario
+        What the insertion followed; the message holds the distance (mm) of the tip from its nearest obstacle.
     tip : numpy.ndarray
         Time (s), x_mm, y_mm and heading_rad of the tip, shape (n, 4).
     force : numpy.ndarray
@@ -93,8 +98,11 @@ def packed_track(header: Mapping[str, Any], tip: NDArray[np.float64], force: NDA
     -------
     bytes
     """
-    tip, force = thinned(tip).astype(np.float32), thinned(force).astype(np.float32)
+    kept, force = thinned(tip), thinned(force).astype(np.float32)
+    tip = kept.astype(np.float32)
     arrays: dict[str, NDArray[Any]] = {"tip_time_s": tip[:, 0], "tip": tip[:, 1:]}
+    if scenario.obstacles:
+        arrays["risk_mm"] = risk_distances(scenario, kept[:, 1:3]).min(0).astype(np.float32)
     if len(force):
         arrays |= {"force_time_s": force[:, 0], "force_n": force[:, 1]}
     return pack(header, arrays)

@@ -123,6 +123,7 @@ def packed_space_track(
         "tip_time_s": kept[:, 0].astype(np.float32), "tip": kept[:, 1:4].astype(np.float32),
         "planned_mm": planned.astype(np.float32),
     }  # fmt: skip
+    arrays["risk_mm"] = scenario.grid.clearance_at(kept[:, 1:4]).astype(np.float32)
     if len(planned) > 1:
         away = path_distances_mm(_prolonged(planned, 2 * scenario.target_reach_mm), kept[:, 1:4])
         away[kept[:, 4] < 0] = 0.0  # before the entry

@@ -19,31 +19,23 @@ from needleplan.page._files import LANGUAGES
 from needleplan.page._packing import pack
 from needleplan.page._requests import Request
 from needleplan.page._space_code import SpaceCode
+from needleplan.page._space_maps import SpaceMaps
 from needleplan.page._surface import surface
-from needleplan.planning import (
-    EntryMap,
-    SpacePose,
-    SpaceTable,
-    entries_vtp,
-    entry_map,
-    markups_text,
-    plan_space,
-    success_bytes,
-)
+from needleplan.planning import SpacePose, SpaceTable, entries_vtp, markups_text, success_bytes
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
     from numpy.typing import NDArray
 
-    from needleplan.anatomy import Anatomy, AnatomyGrid
+    from needleplan.anatomy import Anatomy
     from needleplan.page._inserted import LabTwin
     from needleplan.page._recorded_space import SpaceRun
 
 __all__ = ["SpacePage"]
 
-# Number of ranked entries, as `needleplan entry` lists them, and of executions that are drawn.
-_TOP, _DRAWN = 5, 40
+# Number of executions that are drawn.
+_DRAWN = 40
 # Steps of success in the field, which is drawn with 256 colours.
 _FIELD_STEPS = 255
 # Steps of clearance in a mm; with the largest clearance, 30 mm, they fit into a byte.
@@ -79,10 +71,13 @@ class SpacePage:
         table: SpaceTable | None = None,
     ) -> None:
         self._source, self._anatomy, self._run = source, anatomy, run
-        self._code = SpaceCode(run.source if run else source, table is not None, source if run else "")
-        self.title: str = scenario.title
+        several = anatomy is not None and table is None and bool(anatomy.file.anatomy.targets)
+        self.title: str = anatomy.file.title if anatomy is not None and several else scenario.title
+        self._code = SpaceCode(
+            run.source if run else source, is_table=table is not None, several=several, recording=source if run else ""
+        )
         self._pool = ThreadPoolExecutor(1, "space")
-        self._entries: Future[EntryMap] = self._pool.submit(lambda: entry_map(table or plan_space(scenario)))
+        self._entries: Future[SpaceMaps] = self._pool.submit(lambda: SpaceMaps(scenario, anatomy, table))
 
     def start(self) -> dict[str, Any]:
         """Return the values that the page shows first: `source`, `title`, and whether it shows a recording."""
@@ -94,9 +89,9 @@ class SpacePage:
             "/api/volume": self.volume,
             "/api/entry": self.entry,
             "/api/estimate": self.estimate,
-            "/api/slicer": lambda _: markups_text(self._ready, self._listed).encode(),
-            "/api/vtp": lambda _: entries_vtp(self._ready, self._listed),
-            "/api/nifti": lambda _: success_bytes(self._ready),
+            "/api/slicer": lambda request: markups_text(self._maps.of(request), self._maps.listed).encode(),
+            "/api/vtp": lambda request: entries_vtp(self._maps.of(request), self._maps.listed),
+            "/api/nifti": lambda request: success_bytes(self._maps.of(request)),
             "/api/recording": self.recording,
             "/api/table": self.table,
             "/api/insert": self.insert,
@@ -111,12 +106,14 @@ class SpacePage:
             self._twin.stop()
         self._pool.shutdown(wait=True, cancel_futures=True)
 
-    def volume(self, _: Request) -> bytes:
+    def volume(self, request: Request) -> bytes:
         """Return the message on the anatomy: codes, labels, success field, surfaces, entry points and ranked list.
 
-        Waits for the solve, and for the executions that compare the entries of the list.
+        Of several targets, the fields, the points and the numbers are those of the target of the request. Waits for the
+        solve, and for the executions that compare the entries of the list.
         """
-        entries = self._ready
+        maps = self._maps
+        entries = maps.of(request)
         grid, table = entries.grid, entries.table
         labels, names = self._labels
         header: dict[str, Any] = {
@@ -134,7 +131,9 @@ class SpacePage:
             "status": str(table.stats.status),
             "impossible": entries.impossible,
             "reachable": entries.reachable,
-            "ranked": [self._record(number) for number in self._listed],
+            "targets": maps.targets,
+            "target": request.get("target") or next(iter(maps.targets), ""),
+            "ranked": [self._record(number, request) for number in maps.listed],
         }
         arrays: dict[str, NDArray[Any]] = {
             "codes": grid.codes,
@@ -146,7 +145,7 @@ class SpacePage:
             "success": entries.success.astype(np.float32),
         }
         header["bodies"] = []
-        for name, kind, body in self._bodies(grid, labels, names):
+        for name, kind, body in self._bodies(header["target"], labels, names):
             if body.any():
                 number = len(header["bodies"])
                 header["bodies"].append({"name": name, "kind": kind})
@@ -158,7 +157,7 @@ class SpacePage:
 
         Its success is by executions if they are known, else by the table, which is at once; `estimate` makes them.
         """
-        entries, number = self._ready, self._number(request)
+        entries, number = self._maps.of(request), self._number(request)
         found = entries.table.executions(entries.poses[number], _DRAWN)
         points = [found.points(run) for run in range(_DRAWN)]
         arrays: dict[str, NDArray[Any]] = {
@@ -167,12 +166,14 @@ class SpacePage:
             "ends": np.cumsum([len(point) for point in points], dtype=np.uint32),
             "reached": found.reached.astype(np.uint8),
         }
-        return pack(self._record(number), arrays)
+        header = self._record(number, request) | {"risk": self._maps.risk(number, request)}
+        return pack(header, arrays)
 
     def estimate(self, request: Request) -> bytes:
         """Return the packed record of the requested entry, with its success by simulated executions (about 1 s)."""
         number = self._number(request)
-        return pack({"number": number, **self._ready.entry(number).record()}, {})
+        estimated = self._maps.entry(number, request).record()
+        return pack({"number": number, **estimated, **self._maps.of_targets(number)}, {})
 
     @cached_property
     def _twin(self) -> LabTwin:
@@ -183,8 +184,9 @@ class SpacePage:
 
     def insert(self, request: Request) -> bytes:
         """Begin an insertion in the lab twin from the entry of a request, and return the first message on it."""
-        start = SpacePose(*self._ready.poses[self._number(request)].tolist())
-        self._twin.begin(self._ready.table, start, request)
+        entries = self._maps.of(request)
+        start = SpacePose(*entries.poses[self._number(request)].tolist())
+        self._twin.begin(entries.table, start, request)
         return self.inserted({})
 
     def inserted(self, request: Request) -> bytes:
@@ -199,11 +201,11 @@ class SpacePage:
             raise Unknown
         return found
 
-    def table(self, _: Request) -> bytes:
+    def table(self, request: Request) -> bytes:
         """Return the policy table as a file."""
         with tempfile.TemporaryDirectory() as folder:
             file = Path(folder) / "table.h5"
-            self._ready.table.write(file)
+            self._maps.of(request).table.write(file)
             return file.read_bytes()
 
     def code(self, request: Request) -> bytes:
@@ -218,7 +220,7 @@ class SpacePage:
 
     def _number(self, request: Request) -> int:
         """Return the number of the entry of a request, by default that of the best. Raises InputError."""
-        entries = self._ready
+        entries = self._maps.of(request)
         number = request.get("number", entries.first())
         if not isinstance(number, int) or isinstance(number, bool) or not 0 <= number < len(entries.success):
             rule = f"must be a whole number from 0 to {len(entries.success) - 1}"
@@ -229,20 +231,25 @@ class SpacePage:
         """Return the message on the recorded insertion. Raises Unknown if none was opened."""
         if self._run is None:
             raise Unknown
-        return self._run.message(self._ready.table)
+        return self._run.message(self._maps.of({}).table)
 
     def page(self, request: Request) -> bytes:
         """Return the page of the plan as one HTML file, with the ranked entries or the recording."""
         code = {"command": self._code.command(), "python": self._code.python(self._number({}))}
-        messages = {"/api/volume": self.volume(request)}
+        targets = [{"target": name} for name in self._maps.targets] or [{}]
+        messages = {_path("/api/volume", target): self.volume(target) for target in targets}
         if self._run is None:
-            messages |= {f"/api/entry {number}": self.entry({"number": number}) for number in self._listed}
-            code |= {f"python {number}": self._code.python(number) for number in self._listed}
+            listed = self._maps.listed
+            messages |= {
+                _path(f"/api/entry {number}", target): self.entry({"number": number, **target})
+                for target in targets for number in listed
+            }  # fmt: skip
+            code |= {f"python {number}": self._code.python(number) for number in listed}
         else:
             messages["/api/recording"] = self.recording(request)
         return page_html(
             {
-                "start": {**self.start(), "offline": True},
+                "start": {**self.start(), "offline": True, "targets": self._maps.targets},
                 "messages": {path: base64.b64encode(each).decode() for path, each in messages.items()},
                 "code": code,
             },
@@ -250,17 +257,13 @@ class SpacePage:
             "space.js",
         )
 
-    def _record(self, number: int) -> dict[str, Any]:
+    def _record(self, number: int, request: Request) -> dict[str, Any]:
         """Return the numbers of an entry, with its success as far as it is known."""
-        return {"number": number, **self._ready.entry(number, runs=0).record()}
+        maps = self._maps
+        return {"number": number, **maps.entry(number, request, runs=0).record(), **maps.of_targets(number)}
 
     @property
-    def _listed(self) -> list[int]:
-        """The ranked entries, as `needleplan entry` lists them."""
-        return self._ready.best(_TOP)
-
-    @property
-    def _ready(self) -> EntryMap:
+    def _maps(self) -> SpaceMaps:
         """The ranked entries, once they are there. Raises the error of the solve."""
         return self._entries.result()
 
@@ -270,7 +273,7 @@ class SpacePage:
 
         A table holds no labels, and volumes with more than 255 labels are shown without them: then no rank is known.
         """
-        grid = self._ready.grid
+        grid = self._maps.of({}).grid
         if self._anatomy is None:
             return np.full(grid.codes.shape, 255, np.uint8), []
         volume = self._anatomy.volume
@@ -284,10 +287,15 @@ class SpacePage:
         ]
 
     def _bodies(
-        self, grid: AnatomyGrid, labels: NDArray[np.uint8], names: list[str]
+        self, target: str, labels: NDArray[np.uint8], names: list[str]
     ) -> Iterator[tuple[str, str, NDArray[np.bool_]]]:
-        """Yield name, kind and grid points of what the 3D view shows."""
-        yield "target", "target", grid.codes == TARGET
+        """Yield name, kind and grid points of what the 3D view shows, and the targets of other paths."""
+        maps = self._maps
+        grid = maps.of({"target": target}).grid
+        yield target or "target", "target", grid.codes == TARGET
+        for other in maps.targets:
+            if other != target:
+                yield other, "other target", maps.of({"target": other}).grid.codes == TARGET
         if self._anatomy is None or not names:
             yield "obstacles with margin", "obstacle", grid.codes == OBSTACLE
             return
@@ -296,3 +304,8 @@ class SpacePage:
             rank = int(np.searchsorted(present, number))
             if rank < len(present) and present[rank] == number:
                 yield names[rank], "obstacle", (labels == rank) & (grid.codes != OUTSIDE)
+
+
+def _path(path: str, target: Request) -> str:
+    """Return the path of a message of the exported page, with the name of the target where there are several."""
+    return " ".join([path, *target.values()])

@@ -18,12 +18,15 @@ class SpaceCode:
         The policy table (.h5) or the anatomy (.toml); empty if the plan is from no file.
     is_table
         Whether it is a policy table.
+    several
+        Whether it is an anatomy with several targets.
     recording
         The recording of an insertion by this plan; empty without one.
     """
 
     source: str
     is_table: bool
+    several: bool = False
     recording: str = ""
 
     def python(self, number: int) -> str:
@@ -45,6 +48,15 @@ class SpaceCode:
                 f"table = {read}",
                 f"report = replay(Recording.read({self.recording!r}), table).report",
                 "print(report.outcome, round(report.error_in_space_mm, 2), report.turns)",
+            ]
+        elif self.several:
+            lines = [
+                "from needleplan.anatomy import Anatomy",
+                "from needleplan.planning import rank_for_targets",
+                "",
+                f"entries = rank_for_targets(Anatomy.read({self.source!r}))",
+                f"entry = entries.entry({number})",
+                "print(entry.expected_number, entry.position_mm, list(entry.targets))",
             ]
         else:
             lines = [

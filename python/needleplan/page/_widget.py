@@ -179,7 +179,7 @@ def _of_space_table(table: SpaceTable, source: str = "", start: _Start = None) -
 @page_of.register(Anatomy)
 def _of_anatomy(anatomy: Anatomy, source: str = "", start: _Start = None) -> AnyPage:
     _require_no_start(start)
-    return SpacePage(SpaceScenario.of(anatomy), source, anatomy)
+    return SpacePage(next(iter(SpaceScenario.of_targets(anatomy).values())), source, anatomy)
 
 
 def _pose(start: _Start) -> Pose | None:

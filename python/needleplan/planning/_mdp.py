@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from needleplan.artifacts import short_html, short_repr
+from needleplan.artifacts import call_repr, short_html, short_repr
 from needleplan.config import Choice, Integer, Maybe, Number
 from needleplan.errors import MdpError, Mistake
 from needleplan.extras.progress_bar import progress_bar, solve_text
@@ -226,6 +226,9 @@ class Dependencies:
 
     states: tuple[NDArray[np.uint32], ...]
     partitions: tuple[dict[int, NDArray[np.uint32]], ...]
+
+    __repr__ = call_repr
+    _repr_html_ = short_html
 
 
 def dependencies(mdp: TabularMdp, labels: ArrayLike) -> Dependencies:

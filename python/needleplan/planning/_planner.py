@@ -111,7 +111,11 @@ def questionable_sizes(scenario: Scenario) -> list[Mistake]:
         rule = f"is questionably large beside {step}; are there too many headings?"
         unlikely.append(("grid.spacing_mm", max(scenario.grid.spacing_mm), rule))
     return [
-        Mistake(key, f"{size:g} mm", f"{rule} Convert it, or accept the units as they are")
+        Mistake(
+            key,
+            f"{size:g} mm",
+            f"{rule} Convert it, or accept the units as they are (--accept-units, accept_units=True)",
+        )
         for key, size, rule in unlikely
     ]
 

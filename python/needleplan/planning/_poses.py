@@ -88,6 +88,7 @@ class Pose(_PoseFields):
     """
 
     __slots__ = ()
+    _repr_html_ = short_html
 
     def __new__(cls, x_mm: float, y_mm: float, heading_rad: float, bevel: int | None = None) -> Pose:
         """Check the numbers and make the pose."""

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from needleplan.artifacts import json_values
+from needleplan.artifacts import call_repr, json_values
 from needleplan.errors import DataError, Mistake
 
 __all__ = ["Field", "Json", "MessageKind", "Packed"]
@@ -117,6 +117,8 @@ class Field:
     choices: tuple[str, ...] = ()
     comment: str = ""
 
+    __repr__ = call_repr
+
 
 @dataclass(frozen=True)
 class Packed(MessageKind):
@@ -151,6 +153,8 @@ class Packed(MessageKind):
     encoding = "cdr"
     schema_encoding = "ros2msg"
     _numbers: struct.Struct = field(init=False, repr=False, compare=False)
+
+    __repr__ = call_repr
 
     def __post_init__(self) -> None:
         unknown = [Mistake(each.name, each.type, "is not a type of a message field") for each in self.fields
@@ -325,6 +329,8 @@ class Json(MessageKind):
 
     name: str
     properties: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+
+    __repr__ = call_repr
     encoding = "json"
     schema_encoding = "jsonschema"
 

@@ -6,6 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 
+from needleplan.artifacts import call_repr, short_html
+
 __all__ = ["RecorderState", "RecorderStatus", "WhenFull"]
 
 
@@ -90,6 +92,9 @@ class RecorderStatus:
     overflowed: Mapping[str, int] = field(default_factory=dict)
     refused: int = 0
     refusal: str = ""
+
+    __repr__ = call_repr
+    _repr_html_ = short_html
 
     @property
     def missing(self) -> str:

@@ -179,7 +179,13 @@ def _out_of_range(name: str, size: float, unit: str, allowed: _Range, quiet: boo
         rule = f"is questionably large, {allowed.too_large}"
     else:
         return []
-    return [Mistake(name, f"{size:.3g} {unit}", f"{rule} Convert it, or accept the units as they are")]
+    return [
+        Mistake(
+            name,
+            f"{size:.3g} {unit}",
+            f"{rule} Convert it, or accept the units as they are (--accept-units, accept_units=True)",
+        )
+    ]
 
 
 def _agreement(record: Record) -> list[Mistake]:
@@ -214,7 +220,8 @@ def _too_fast(record: Record) -> list[Mistake]:
     said = f"{_span(record['depth_mm']):.3g} mm in {float(np.ptp(record['time_s'])):.3g} s"
     rule = (
         f"the depth changes by {middle:.3g} mm/s, which is questionably fast for a needle: does the scale of depth_mm "
-        "or time_s agree with the documented speed? Convert it, or accept the units as they are"
+        "or time_s agree with the documented speed? Convert it, or accept the units as they are (--accept-units, "
+        "accept_units=True)"
     )
     return [Mistake("depth_mm", said, rule)]
 

@@ -19,6 +19,7 @@ from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.writer import MCAP0_MAGIC
 
+from needleplan.artifacts import call_repr
 from needleplan.errors import DataError, InputError, Mistake
 from needleplan.recording._data_files import PathLike
 from needleplan.recording._journal import PROFILE, SESSION, Counts
@@ -69,6 +70,8 @@ class Definitions:
     channels: dict[int, records.Channel] = field(default_factory=dict)
     session: dict[str, Any] | None = None
     counts: Counts | None = None
+
+    __repr__ = call_repr
 
 
 @contextlib.contextmanager

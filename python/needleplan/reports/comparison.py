@@ -7,6 +7,8 @@ from collections.abc import Iterable
 from dataclasses import KW_ONLY, dataclass
 from enum import StrEnum
 
+from needleplan.artifacts import call_repr
+
 __all__ = ["SAME_ORDER_FACTOR", "Agreement", "Comparison", "Evidence", "Origin", "by_evidence", "measured", "timed"]
 
 SAME_ORDER_FACTOR = 3.0
@@ -106,6 +108,8 @@ class Comparison:
     kind: Evidence
     source: str = ""
     earlier: bool = False
+
+    __repr__ = call_repr
 
     def __post_init__(self) -> None:
         """Reject a comparison whose fields contradict each other."""

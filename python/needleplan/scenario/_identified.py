@@ -8,6 +8,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Protocol
 
+from needleplan.artifacts import call_repr
 from needleplan.config import suggestion
 from needleplan.errors import Mistake, ModelError, ScenarioError
 from needleplan.scenario._parts import Layer, Needle, Tissue
@@ -108,6 +109,8 @@ class Identified:
 
     entry: EntryPose | None = None
     """Pose of the tip at the entry relative to the guide; None if the file says that there is no deviation."""
+
+    __repr__ = call_repr
 
     @property
     def radius_mm(self) -> float:

@@ -44,7 +44,7 @@ class SimplePolygon:
             try:
                 corner = Pair(self.coordinate).read(entry)
             except Violation as broken:
-                raise Violation(f"point {number} {broken}", value) from None
+                raise Violation(f"point {number}: {broken}", value) from None
             if not corners or corner != corners[-1]:
                 corners.append(corner)
         if len(corners) > 1 and corners[0] == corners[-1]:

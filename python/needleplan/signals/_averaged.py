@@ -32,7 +32,7 @@ _SPAN_MM = 1e-6
 _STEEPEST = 3.0
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class SpannedMotion(Motion):
     """Motion whose samples stand for the depths about them.
 
@@ -46,11 +46,8 @@ class SpannedMotion(Motion):
 
     span_mm: Array
 
-    __repr__ = short_repr
-    _repr_html_ = short_html
 
-
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class AveragedMotion(Motion):
     """Motion whose samples are means over intervals.
 
@@ -67,8 +64,6 @@ class AveragedMotion(Motion):
     fine: SpannedMotion
     first: NDArray[np.intp]
     sampled_s: float
-
-    __repr__ = short_repr
 
     def __getitem__(self, index: object) -> Motion:
         """Return the plain motion at selected samples."""

@@ -13,7 +13,7 @@ from enum import StrEnum
 
 import numpy as np
 
-from needleplan.artifacts import short_html, short_repr
+from needleplan.artifacts import call_repr, short_html, short_repr
 from needleplan.errors import DataError, Mistake, ModelError
 from needleplan.signals._record import Array, ComplexArray
 from needleplan.signals._sine import dominant_frequency_hz, sine_at
@@ -41,6 +41,8 @@ class DiscreteFilter:
     numerator: tuple[float, ...]
     denominator: tuple[float, ...]
     interval_s: float
+
+    __repr__ = call_repr
 
     def __post_init__(self) -> None:
         mistakes = []

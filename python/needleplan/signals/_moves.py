@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from needleplan.artifacts import call_repr
 from needleplan.errors import DataError, Mistake
 from needleplan.signals._profiles import lspb
 from needleplan.signals._record import Array, Motion
@@ -32,6 +33,8 @@ class Limits:
     acceleration_mm_s2: float = 100.0
     velocity_rad_s: float = 6.0
     acceleration_rad_s2: float = 60.0
+
+    __repr__ = call_repr
 
     def __post_init__(self) -> None:
         mistakes = [
@@ -78,6 +81,8 @@ class Program:
     about: str
     moves: tuple[Insert | Rotate | Dwell, ...]
     limits: Limits
+
+    __repr__ = call_repr
 
     def motion(self, rate_hz: float) -> Motion:
         """Return the motion with trapezoidal velocities, sampled at `rate_hz`."""

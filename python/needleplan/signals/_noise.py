@@ -15,6 +15,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.lib.stride_tricks import as_strided
 
+from needleplan.artifacts import call_repr
 from needleplan.signals._record import Array
 
 __all__ = ["MultiAxisNoise", "SensorNoise", "combine_axes", "fit_axes", "fit_noise", "scatter"]
@@ -39,6 +40,8 @@ class SensorNoise:
     weights: Array
     sd: float
     rms: float
+
+    __repr__ = call_repr
 
     @property
     def order(self) -> int:

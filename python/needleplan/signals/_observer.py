@@ -24,6 +24,7 @@ from enum import StrEnum
 
 import numpy as np
 
+from needleplan.artifacts import call_repr
 from needleplan.errors import DataError, Mistake, ModelError
 from needleplan.signals._filters import DiscreteFilter
 from needleplan.signals._record import Array
@@ -157,6 +158,8 @@ class Projection:
 
     fast: HighGainObserver
     slow: HighGainObserver
+
+    __repr__ = call_repr
 
     def __post_init__(self) -> None:
         if self.fast.interval_s != self.slow.interval_s:

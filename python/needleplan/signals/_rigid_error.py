@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from needleplan.artifacts import call_repr
 from needleplan.errors import DataError, Mistake
 from needleplan.signals._record import Array
 
@@ -42,6 +43,8 @@ class RigidError:
 
     centre_mm: Array
     covariance: Array
+
+    __repr__ = call_repr
 
     def __post_init__(self) -> None:
         centre, covariance = np.array(self.centre_mm, float), np.array(self.covariance, float)

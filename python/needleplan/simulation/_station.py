@@ -28,7 +28,7 @@ _NOISE_LENGTH_MM = 10.0
 _SAME_NOISE = 0.01
 
 
-@dataclass
+@dataclass(repr=False)
 class SimulatedStation(Station):
     """The devices of a simulated lab, with the properties of the lab that an insertion needs."""
 

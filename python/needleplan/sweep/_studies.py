@@ -27,11 +27,12 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from needleplan.artifacts import short_html, short_repr
+from needleplan.artifacts import call_repr, short_html, short_repr
 from needleplan.config import plain
 from needleplan.errors import Mistake, SweepError
 from needleplan.planning import PolicyTable
 from needleplan.sweep._study_rules import (
+    has_quantity,
     key_of,
     levels_of,
     quantity_of,
@@ -40,7 +41,6 @@ from needleplan.sweep._study_rules import (
     require_names,
     require_others_fixed,
     require_quantity,
-    require_quantity_name,
 )
 from needleplan.sweep._sweep import Design
 from needleplan.sweep._table_set import TableSet, TableSetEntry
@@ -101,6 +101,8 @@ class ParameterEffect:
     main_effect: tuple[float, ...]
     chance: float = 0.0
 
+    __repr__ = call_repr
+
 
 @dataclass(frozen=True)
 class WrongParameter:
@@ -114,6 +116,8 @@ class WrongParameter:
     replanned: float
     success_interval: tuple[float, float]
     replanned_interval: tuple[float, float]
+
+    __repr__ = call_repr
 
 
 def quantity_map(table_set: TableSet, x: str, y: str, quantity: str = "success") -> QuantityMap:
@@ -215,7 +219,7 @@ def pareto_front(table_set: TableSet, goals: Mapping[str, int] = GOALS) -> list[
         A goal is unknown, no table is made, or no path without noise reaches the target.
     """
     require_made(table_set, "pareto")
-    goals = {name: sign for name, sign in goals.items() if _has(table_set, name)}
+    goals = {name: sign for name, sign in goals.items() if has_quantity(table_set, name)}
     known = pareto_candidates(table_set, goals)
     if not known:
         rule = f"none of the {len(table_set)} tables has a path without noise that reaches the target"
@@ -244,7 +248,7 @@ def pareto_candidates(table_set: TableSet, goals: Iterable[str] = tuple(GOALS)) 
     -------
     list of TableSetEntry
     """
-    names = [name for name in goals if _has(table_set, name)]
+    names = [name for name in goals if has_quantity(table_set, name)]
     reached = [entry for entry in table_set if entry.record and entry.record["reached"]]
     return [entry for entry in reached if all(math.isfinite(quantity_of(entry, name)) for name in names)]
 
@@ -392,9 +396,3 @@ def _require_separable(bases: Mapping[str, NDArray[np.float64]], design: NDArray
     ]
     rule = f"the values of {', '.join(mixed)} change together in the {tables} tables: their effects cannot be separated"
     raise SweepError(Mistake("study", "sensitivity", rule))
-
-
-def _has(table_set: TableSet, quantity: str) -> bool:
-    """Return whether a table has a quantity. Raises SweepError if the name is unknown."""
-    require_quantity_name(quantity)
-    return any(math.isfinite(quantity_of(entry, quantity)) for entry in table_set)

@@ -13,6 +13,7 @@ from needleplan.sweep._table_set import TableSet, TableSetEntry
 
 __all__ = [
     "QUANTITIES",
+    "has_quantity",
     "key_of",
     "levels_of",
     "quantity_of",
@@ -21,7 +22,6 @@ __all__ = [
     "require_names",
     "require_others_fixed",
     "require_quantity",
-    "require_quantity_name",
     "selected",
     "tables_text",
     "varying",
@@ -176,7 +176,7 @@ def require_made(table_set: TableSet, study: str) -> None:
 
 def require_quantity(table_set: TableSet, quantity: str) -> None:
     """Raise SweepError if the name of the quantity is unknown, or no table of the table set has the quantity."""
-    require_quantity_name(quantity)
+    _require_quantity_name(quantity)
     if all(math.isnan(quantity_of(entry, quantity)) for entry in table_set):
         reason = {
             "start_success": "it is recorded for [entry] start of the sweep, in a plane",
@@ -186,11 +186,17 @@ def require_quantity(table_set: TableSet, quantity: str) -> None:
         raise SweepError(Mistake("quantity", quantity, f"no table of the selection has this quantity{because}"))
 
 
-def require_quantity_name(quantity: str) -> None:
+def _require_quantity_name(quantity: str) -> None:
     """Raise SweepError if the name of the quantity is unknown."""
     if quantity not in QUANTITIES:
         rule = f"must be one of {', '.join(QUANTITIES)}{suggestion(quantity, QUANTITIES)}"
         raise SweepError(Mistake("quantity", quantity, rule))
+
+
+def has_quantity(table_set: TableSet, quantity: str) -> bool:
+    """Return whether a table of the set has a quantity. Raises SweepError if the name is unknown."""
+    _require_quantity_name(quantity)
+    return any(math.isfinite(quantity_of(entry, quantity)) for entry in table_set)
 
 
 def require_others_fixed(table_set: TableSet, study: str, names: Sequence[str]) -> None:

@@ -10,7 +10,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 from needleplan.anatomy import AnatomyFile
-from needleplan.artifacts import short_html
+from needleplan.artifacts import call_repr, short_html
 from needleplan.config import plain, shown, suggestion
 from needleplan.errors import InputError, Mistake, SweepError
 from needleplan.planning import Table
@@ -49,6 +49,8 @@ class TableSetEntry:
     record: dict[str, Any] | None
     _store: TableSetStore = field(repr=False)
     _point: StoredPoint = field(repr=False)
+
+    __repr__ = call_repr
 
     @property
     def why(self) -> str:

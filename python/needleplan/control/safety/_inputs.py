@@ -14,6 +14,7 @@ from dataclasses import dataclass, field, replace
 from typing import Generic, TypeVar
 
 from needleplan import _ppvi
+from needleplan.artifacts import call_repr
 from needleplan.control.safety._causes import Cause
 from needleplan.control.safety._limits import SafetyLimits
 from needleplan.devices import ForceSample, Health, PoseSample, Sample, Source, StageSample, Stamp
@@ -151,6 +152,8 @@ class Inputs:
     """Depth of the stage when the last usable pose differed from the one before (mm)."""
     _moved_ns: int | None = None
     """Time (ns) at which the stage had moved since then; None if it has not."""
+
+    __repr__ = call_repr
 
     def then(self, sample: Sample, tip: tuple[tuple[float, float] | None, float] | None) -> Inputs:
         """Return the inputs after a sample.

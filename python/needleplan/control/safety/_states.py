@@ -30,6 +30,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 from needleplan import _ppvi
+from needleplan.artifacts import call_repr
 from needleplan.control.safety._causes import Cause, Owner, bits_of, causes_of
 from needleplan.devices.supervision import GuardNumbers
 
@@ -122,6 +123,8 @@ class InputReport:
     retracting: bool = False
     resting: bool = False
 
+    __repr__ = call_repr
+
 
 @dataclass(frozen=True)
 class SafetyState:
@@ -158,6 +161,8 @@ class SafetyState:
     waits: Owner | None = None
     """Owner of an ENABLE or RESUME that waits for the needle to rest."""
 
+    __repr__ = call_repr
+
     @property
     def person_paused(self) -> bool:
         """Whether a person has ordered the present pause, or a retraction during this pause."""
@@ -177,6 +182,8 @@ class SafetyTransition:
     actions: tuple[GuardAction, ...] = ()
     causes: frozenset[Cause] = _NONE
     refused: bool = False
+
+    __repr__ = call_repr
 
 
 # Each value by its number in the guard of Rust

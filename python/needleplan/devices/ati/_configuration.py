@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from xml.etree import ElementTree
 
+from needleplan.artifacts import call_repr
 from needleplan.errors import ConfigurationError, DeviceFault, Mistake
 
 __all__ = ["FORCE_UNITS", "TORQUE_UNITS", "Configuration", "fetch_configuration", "parse_configuration"]
@@ -50,6 +51,8 @@ class Configuration:
 
     bias: tuple[int, ...] | None = None
     """Bias of the six gages in counts, which changes with every bias command; None if the box does not report it."""
+
+    __repr__ = call_repr
 
     @property
     def newton_per_count(self) -> float:

@@ -14,6 +14,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from statistics import fmean, pstdev
 
+from needleplan.artifacts import call_repr
 from needleplan.devices._base import ForceSample, ForceSensor, Health, Stamp
 from needleplan.devices._clock import Clock, Deadline, SystemClock
 from needleplan.devices._links import Link, UdpLink
@@ -60,6 +61,8 @@ class ForceLimits:
     steady_n: float = 0.1  # standard deviation of a force above which a bias is refused
     unloaded_n: float = 0.5  # force on a biased sensor above which a further bias is refused (needle under load)
     poll_s: float = 0.5  # time between two readings of the configuration page, which tell a foreign bias
+
+    __repr__ = call_repr
 
 
 @dataclass

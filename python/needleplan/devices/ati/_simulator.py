@@ -16,6 +16,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 
+from needleplan.artifacts import call_repr
 from needleplan.devices._base import Closing
 from needleplan.devices._clock import VirtualClock
 from needleplan.devices._links import Link
@@ -42,6 +43,8 @@ class BoxSettings:
     product: str = "Ethernet 6-Axis F/T Sensor"
     divisor: int = 35
     """The box sends 7000 / `divisor` records per second."""
+
+    __repr__ = call_repr
 
     def xml(self, bias: tuple[int, ...] = ()) -> bytes:
         """Return the content of the page `netftapi2.xml`, with the bias of the box if given."""
@@ -85,6 +88,8 @@ class BoxFaults:
 
     instead: list[bytes] = field(default_factory=list)
     """Datagrams that are sent before the next record."""
+
+    __repr__ = call_repr
 
 
 class NetFtBox:

@@ -13,6 +13,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from enum import Enum, IntEnum, auto
 
+from needleplan.artifacts import call_repr
 from needleplan.errors import ProtocolError
 
 __all__ = [
@@ -215,6 +216,8 @@ class StreamWatch:
     _frozen: int = 0
     _measured: int = 0
     _missing: dict[int, None] = field(default_factory=dict)
+
+    __repr__ = call_repr
 
     def see(self, record: RdtRecord, now_ns: int) -> RdtArrival:
         """Validate the next record, received at `now_ns`; update `counts`, and return the result."""

@@ -7,6 +7,7 @@ from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from needleplan.artifacts import call_repr
 from needleplan.devices._base import StageSample, Stamp
 from needleplan.devices.cia402._drive import CanBus
 from needleplan.devices.cia402.objects import Bit, Cia402State, state_of
@@ -35,6 +36,8 @@ class DriveTiming:
     answer_s: float = 0.3
     change_s: float = 0.5
     slack_s: float = 0.3
+
+    __repr__ = call_repr
 
 
 _STATUS = struct.Struct("<Hi")

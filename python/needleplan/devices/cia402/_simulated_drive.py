@@ -11,6 +11,7 @@ import threading
 from dataclasses import dataclass, field
 from typing import Any
 
+from needleplan.artifacts import call_repr
 from needleplan.devices._base import Closing
 from needleplan.devices._clock import Clock, SystemClock
 from needleplan.devices.cia402._drive import CanBus, library
@@ -79,6 +80,8 @@ class Cia402DriveFaults:
 
     torque_off: bool = False
     """Whether the safe torque off (STO) is active, so that the drive cannot be enabled."""
+
+    __repr__ = call_repr
 
 
 _ENTRIES = {(entry.index, entry.subindex): entry for entry in Cia402Entry}

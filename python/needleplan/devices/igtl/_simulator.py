@@ -15,6 +15,7 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
+from needleplan.artifacts import call_repr
 from needleplan.devices._base import Closing
 from needleplan.devices._clock import VirtualClock
 from needleplan.devices._links import Link
@@ -89,6 +90,8 @@ class PlusFaults:
     timeless: bool = False
     """Whether messages are sent without a time."""
 
+    __repr__ = call_repr
+
 
 @dataclass
 class PlusDevice:
@@ -113,6 +116,8 @@ class PlusDevice:
     sent_version: int = 1
     _reader: MessageReader = field(default_factory=MessageReader)
     _last_s: float = 0.0
+
+    __repr__ = call_repr
 
     def frame(self, time_s: float) -> bytes:
         """Return the bytes of the frame at `time_s` (s since the start); b"" if no frame is sent."""

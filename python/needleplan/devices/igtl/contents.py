@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 
+from needleplan.artifacts import call_repr
 from needleplan.devices.igtl.messages import padded, text_of
 from needleplan.errors import InputError, Mistake, ProtocolError
 
@@ -101,6 +102,8 @@ class Point:
     diameter_mm: float = 0.0
     owner: str = ""
 
+    __repr__ = call_repr
+
 
 @dataclass(frozen=True)
 class Sensor:
@@ -108,6 +111,8 @@ class Sensor:
 
     values: tuple[float, ...]
     unit: int = Unit.NONE
+
+    __repr__ = call_repr
 
 
 def encode_status(status: IgtlStatus) -> bytes:

@@ -15,6 +15,7 @@ from operator import xor
 import numpy as np
 import numpy.typing as npt
 
+from needleplan.artifacts import call_repr
 from needleplan.errors import InputError, Mistake, ProtocolError
 
 __all__ = [
@@ -108,6 +109,8 @@ class IgtlMessage:
     version: int = 1
     message_id: int = 0
     metadata: Mapping[str, str] = field(default_factory=dict)
+
+    __repr__ = call_repr
 
     @property
     def time_s(self) -> float | None:

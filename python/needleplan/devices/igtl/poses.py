@@ -13,6 +13,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 
+from needleplan.artifacts import call_repr
 from needleplan.devices._base import PoseSample, PoseValidator, Stamp
 from needleplan.devices.igtl.messages import padded, text_of
 from needleplan.errors import DeviceFault, ProtocolError
@@ -53,6 +54,8 @@ class IgtlPose:
     distortion: float = 0.0
     oriented: bool = True
 
+    __repr__ = call_repr
+
 
 class ToolKind(IntEnum):
     """Type of a tool in TDATA and QTDATA, by its measured degrees of freedom."""
@@ -74,6 +77,8 @@ class IgtlTool:
     name: str
     pose: IgtlPose
     kind: ToolKind = ToolKind.SIX_DOF
+
+    __repr__ = call_repr
 
 
 def encode_transform(pose: IgtlPose) -> bytes:

@@ -11,6 +11,7 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
+from needleplan.artifacts import call_repr
 from needleplan.devices._clock import Clock, SystemClock, VirtualClock
 from needleplan.devices._links import Link
 from needleplan.devices.ndi.commands import BAUD_CODES, decode_command, encode_text
@@ -38,6 +39,8 @@ class SimulatedTool:
 
     initialised: bool = False
     enabled: bool = False
+
+    __repr__ = call_repr
 
     @property
     def port_status(self) -> int:
@@ -76,6 +79,8 @@ class AuroraFaults:
     ignore_speed: bool = False
     """Whether the device acknowledges COMM without changing its speed."""
 
+    __repr__ = call_repr
+
 
 @dataclass
 class AuroraDevice:
@@ -96,6 +101,8 @@ class AuroraDevice:
     _input: bytearray = field(default_factory=bytearray)
     _began_ns: int = 0
     _frame: int = 0
+
+    __repr__ = call_repr
 
     def answer(self, data: bytes) -> bytes:
         """Receive bytes, and return the replies to all commands that are now complete; b"" if there are none."""

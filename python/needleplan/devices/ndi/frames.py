@@ -15,6 +15,7 @@ import struct
 from dataclasses import dataclass
 from enum import StrEnum
 
+from needleplan.artifacts import call_repr
 from needleplan.devices._base import PoseSample, PoseValidator, Stamp
 from needleplan.errors import DeviceFault, ProtocolError
 
@@ -87,6 +88,8 @@ class ToolFrame:
     port_status: int | None = None
     frame: int | None = None
 
+    __repr__ = call_repr
+
 
 @dataclass(frozen=True)
 class Frames:
@@ -94,6 +97,8 @@ class Frames:
 
     tools: tuple[ToolFrame, ...]
     system_status: int
+
+    __repr__ = call_repr
 
 
 def _bits_of(status: int, names: dict[int, str]) -> tuple[str, ...]:
@@ -249,6 +254,8 @@ class NdiPoseLimits:
     most_error_mm: float = 1.0  # fit error above which a pose is SUSPECT
     step_mm: float = 5.0  # change of the position from one frame to the next above which a pose is SUSPECT
     norm_tolerance: float = 0.01  # deviation of the quaternion's length from one above which a pose is SUSPECT
+
+    __repr__ = call_repr
 
 
 class NdiPoseValidator(PoseValidator):

@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass
 from typing import Protocol
 
+from needleplan.artifacts import call_repr
 from needleplan.devices.robot.messages import Fault, MotionLimits
 from needleplan.stopping import WINDOW_S
 
@@ -43,6 +44,8 @@ class RobotDriveState:
     wanted_roll_rad: float
     moving: bool
     faults: Fault = Fault(0)
+
+    __repr__ = call_repr
 
 
 class RobotDrive(Protocol):

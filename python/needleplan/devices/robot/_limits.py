@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from needleplan.artifacts import call_repr
 from needleplan.devices.robot.messages import MotionLimits
 
 __all__ = ["RobotCounts", "RobotLimits"]
@@ -29,6 +30,8 @@ class RobotLimits:
     roll_rad: float = 200.0
     fastest_rad_s: float = 20.0
     longest_valid_s: float = 1.5
+
+    __repr__ = call_repr
 
     @property
     def motion(self) -> MotionLimits:

@@ -102,7 +102,8 @@ class RobotProbe:
 
         self._unnumbered = self.seal
         self.session: int = secrets.randbelow(_WRAP - 1) + 1
-        self.sequence = self.number = 0
+        self.sequence: int = 0
+        self.number: int = 0
         self.silence_s: float = _SILENCE_S
         self.answers: list[Answer] = []
         self.statuses: list[tuple[int, RobotStatus]] = []

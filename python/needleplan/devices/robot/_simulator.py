@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 from types import TracebackType
 from typing import Self
 
+from needleplan.artifacts import call_repr
 from needleplan.devices._clock import VirtualClock
 from needleplan.devices._links import Link
 from needleplan.devices.robot._doors import PtyDoor, UdpDoor
@@ -55,6 +56,8 @@ class RobotDriveFaults:
 
     runaway: tuple[float, float] = (0.0, 0.0)
     """Speeds (mm/s, rad/s) at which a faulty drive moves its axes, with their commanded positions, by itself."""
+
+    __repr__ = call_repr
 
 
 class SteadyDrive(RobotDrive):

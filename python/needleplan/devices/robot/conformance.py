@@ -11,6 +11,7 @@ from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass
 from enum import StrEnum
 
+from needleplan.artifacts import call_repr
 from needleplan.devices._links import Link
 from needleplan.devices._opening import Address, open_link
 from needleplan.devices.robot import _motion_rules, _session_rules
@@ -49,6 +50,8 @@ class ConformanceCase:
     rule: str
     verdict: ConformanceVerdict
     found: str = ""
+
+    __repr__ = call_repr
 
 
 def try_cases(bench: RobotBench, only: Collection[str] = ()) -> Iterator[ConformanceCase]:

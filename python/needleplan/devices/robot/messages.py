@@ -22,6 +22,7 @@ import struct
 import zlib
 from dataclasses import dataclass
 
+from needleplan.artifacts import call_repr
 from needleplan.devices.robot._codes import NAMES_OF_FAULTS, Fault, Result, RobotKind, RobotState
 from needleplan.errors import ProtocolError
 
@@ -141,6 +142,8 @@ class Hello:
     head: Head
     limits: MotionLimits = MotionLimits()
     silence_us: int = 0
+
+    __repr__ = call_repr
     kind = RobotKind.HELLO
 
 
@@ -159,6 +162,8 @@ class RobotCommand:
     speed: float = 0.0
     silence_us: int = 0
 
+    __repr__ = call_repr
+
 
 @dataclass(frozen=True, slots=True)
 class Answer:
@@ -172,6 +177,8 @@ class Answer:
     result: Result
     state: RobotState
     nonce: int = 0
+
+    __repr__ = call_repr
 
 
 @dataclass(frozen=True, slots=True)
@@ -197,6 +204,8 @@ class RobotStatus:
     homed: bool | None = None
     standing: bool | None = None
     compact: bool = False
+
+    __repr__ = call_repr
 
 
 RobotMessage = Hello | RobotCommand | Answer | RobotStatus

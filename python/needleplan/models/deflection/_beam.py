@@ -24,6 +24,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from needleplan.artifacts import call_repr, short_html
 from needleplan.errors import Mistake, ModelError
 from needleplan.models.deflection._stepped import StiffnessSteps
 from needleplan.signals import Array
@@ -83,6 +84,9 @@ class NeedleShaft:
     shear_modulus_gpa: float = 77.0
     density_kg_m3: float = 8000.0
     stiffness_steps: StiffnessSteps = ()
+
+    __repr__ = call_repr
+    _repr_html_ = short_html
 
     def __post_init__(self) -> None:
         mistakes = []
@@ -257,6 +261,8 @@ class Beam:
     _: KW_ONLY
     steps: StiffnessSteps = ()
     """Changes of EI along the shaft, the same for all insertions; `bending_n_mm2` is EI at the tip."""
+
+    __repr__ = call_repr
 
     @classmethod
     def of(

@@ -25,6 +25,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from needleplan.artifacts import call_repr
 from needleplan.errors import Mistake, ModelError
 from needleplan.models.deflection._beam import Beam
 from needleplan.models.deflection._blocks import solve_blocks
@@ -116,6 +117,8 @@ class ElementShape:
     slope_rad: Array
     base_mm: float = 0.0
     base_slope_rad: float = 0.0
+
+    __repr__ = call_repr
 
     @property
     def tip_mm(self) -> Array:

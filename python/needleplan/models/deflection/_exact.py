@@ -21,6 +21,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from needleplan.artifacts import call_repr
 from needleplan.errors import Mistake, ModelError
 from needleplan.models.deflection._beam import Beam
 from needleplan.signals import Array
@@ -43,6 +44,8 @@ class ExactShape:
     decay_1_mm: Array
     wave_1_mm: tuple[Array, Array]
     weights: Array
+
+    __repr__ = call_repr
 
     @property
     def tip_mm(self) -> Array:

@@ -24,6 +24,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from needleplan.artifacts import call_repr
 from needleplan.errors import Mistake, ModelError
 from needleplan.models.deflection._beam import AxialTerms, Beam, ElasticTissue, Foundation, NeedleShaft
 from needleplan.models.deflection._elements import solve_uniform
@@ -44,6 +45,8 @@ class CutPath:
 
     last_shape: Array
     """Deflection (mm) of the inserted needle after the last step, at the distances `depth_mm` from the entry point."""
+
+    __repr__ = call_repr
 
 
 def march(

@@ -31,6 +31,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from needleplan.artifacts import call_repr
 from needleplan.errors import Mistake, ModelError
 from needleplan.models.deflection._beam import ElasticTissue, NeedleShaft
 from needleplan.signals import Array
@@ -51,6 +52,8 @@ class FreePath:
     push_n: float = 0.0
     once_n_mm: float = 0.0
     twice_n_mm2: float = 0.0
+
+    __repr__ = call_repr
 
     def advanced(self, depth_mm: float, push_n: float) -> FreePath:
         """Return the state at a greater depth, with P linear in between.

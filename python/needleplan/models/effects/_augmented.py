@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from needleplan.artifacts import call_repr
 from needleplan.errors import Mistake, ModelError
 from needleplan.models._base import Channel, Model, SelfIntegratingModel
 from needleplan.models._simulate import simulate
@@ -36,6 +37,8 @@ class AddedEffect:
     estimates: Mapping[str, Estimate] = field(default_factory=dict)
     found_by: str = ""
     version: str = "1"
+
+    __repr__ = call_repr
 
     def __post_init__(self) -> None:
         effect = effect_named(self.name)

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from needleplan.artifacts import call_repr
 from needleplan.errors import Mistake, ModelError
 from needleplan.models._base import Channel, Model
 from needleplan.models._parameter import Parameter, parameters_of
@@ -85,6 +86,8 @@ class TermEffect(_Described):
 
     term: type[Term] = Puncture
 
+    __repr__ = call_repr
+
     @property
     def parameters(self) -> Mapping[str, Parameter]:  # type: ignore[override]
         """Amplitude, and parameters for place, time or rate."""
@@ -127,6 +130,8 @@ class WrapEffect(_Described):
     """An effect that is implemented by a model that wraps another one: `wrapper(base=model, size=..., ...)`."""
 
     wrapper: type[Model] = Lagging
+
+    __repr__ = call_repr
 
     @property
     def parameters(self) -> Mapping[str, Parameter]:  # type: ignore[override]

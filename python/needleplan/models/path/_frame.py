@@ -17,6 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from needleplan.artifacts import short_html
 from needleplan.signals import Array
 
 __all__ = ["TipFrame", "Vector", "axes_of", "quaternion_of", "quaternions_along"]
@@ -51,6 +52,8 @@ class TipFrame:
     tangent: Vector
     normal: Vector
     binormal: Vector
+
+    _repr_html_ = short_html
 
     @classmethod
     def planar(cls, x_mm: float, y_mm: float, heading_rad: float) -> TipFrame:

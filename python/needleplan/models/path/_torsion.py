@@ -19,6 +19,7 @@ from itertools import accumulate
 
 import numpy as np
 
+from needleplan.artifacts import short_html
 from needleplan.errors import Mistake, ModelError
 from needleplan.signals import Array
 
@@ -56,6 +57,8 @@ class Torsion:
 
     stiffness_n_mm2: float
     torque_per_length_n: float
+
+    _repr_html_ = short_html
 
     def __post_init__(self) -> None:
         mistakes = []

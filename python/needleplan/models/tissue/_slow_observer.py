@@ -23,6 +23,7 @@ from enum import StrEnum
 import numpy as np
 from numpy.typing import NDArray
 
+from needleplan.artifacts import call_repr
 from needleplan.errors import DataError, Mistake
 from needleplan.signals import FAST_ALPHA1, Array, HighGainObserver, Projection
 
@@ -68,6 +69,8 @@ class SlowObserver:
     upward: int
     downward: int
     gap_sd_mm_s: float = np.inf
+
+    __repr__ = call_repr
 
     @property
     def alpha1(self) -> float | None:

@@ -1,6 +1,6 @@
 // Sliders of the needle, the costs and the grid, and what is shown.
 
-import { make } from "./panel.js";
+import { make } from "./texts.js";
 
 // Cost of 1 mm of insertion near an obstacle, if the scenario has none: as dear as four more millimetres.
 const CLEARANCE_PER_MM = 4;

@@ -2,7 +2,7 @@
 
 import { Chart, written } from "./chart.js";
 import { palette } from "./colours.js";
-import { make, roleWords } from "./panel.js";
+import { make, roleWords } from "./texts.js";
 
 const NOISE_SDS = 2; // half width of the band of noise
 const SHARES = { output: 3, residual: 2, depth: 1 };

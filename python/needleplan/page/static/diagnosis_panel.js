@@ -3,18 +3,11 @@
 import { Chart, written } from "./chart.js";
 import { palette } from "./colours.js";
 import { round } from "./curves.js";
-import { make, roleWords } from "./panel.js";
+import { ofDiagnosis, Sentences } from "./sentences.js";
+import { make, roleWords } from "./texts.js";
 
-const VERDICTS = {
-  none: "No effect is missing that these data could show.",
-  underpowered: "Nothing was found, but these data could hide a relevant effect.",
-  named: "The missing effect is known.",
-  incomplete: "A missing effect is known, and probably something else is missing too.",
-  ambiguous: "Something is missing, and these data do not decide which effect.",
-  changed: "No effect is missing, but parameters or laws of the model have changed.",
-  unknown: "Something is missing, and no known effect explains it.",
-  implausible: "The best effect has an amplitude at its bound: check units and model.",
-};
+// Words for the stages of the gap budget.
+const STAGES = { given: "given model", parameters: "other parameters", effects: "effects", laws: "laws and tissue" };
 
 const named = (name) => (name === "size" ? "amplitude" : name.replace(/_(mm|s|n|hz|rad|mm_s)$/, "").replaceAll("_", " "));
 const interval = (low, high) => (low === null && high === null ? "none" : `${written(round(low))} to ${written(round(high))}`);
@@ -28,9 +21,11 @@ export class DiagnosisPanel {
     this.found = found;
     const { element } = this;
     element.replaceChildren();
-    const verdict = element.appendChild(make("p", VERDICTS[found.verdict] ?? found.verdict));
-    verdict.className = "verdict";
-    verdict.dataset.name = "verdict";
+    const sentences = new Sentences(element);
+    sentences.show(ofDiagnosis(found));
+    sentences.element.firstChild.dataset.name = "verdict";
+    this.addBudget(found);
+    element.append(make("h2", "In detail"));
     for (const sentence of found.sentences) element.append(make("p", sentence));
     this.addGiven(found);
     this.addHypotheses(found);
@@ -77,12 +72,37 @@ export class DiagnosisPanel {
     }
   }
 
+  // Shares of the gap by cause, as bars, and what each leaves: other values of parameters, each effect, laws, noise.
+  addBudget({ given, effects, unit }) {
+    if (!given) return;
+    this.element.append(make("h2", "Gap budget"));
+    const table = this.element.appendChild(make("table"));
+    table.className = "list budget";
+    table.dataset.name = "budget";
+    table.append(make("caption", `RMS left, ${unit}; share of the gap closed`));
+    table.caption.className = "plain";
+    const body = table.appendChild(make("tbody"));
+    const row = (name, rms, share, isPart = false) => {
+      const line = body.appendChild(make("tr"));
+      line.classList.toggle("part", isPart);
+      line.appendChild(make("th", name)).scope = "row";
+      line.append(make("td", rms === null ? "" : written(round(rms))));
+      const cell = line.appendChild(make("td", share === null ? "" : `${Math.round(100 * share)} %`));
+      const bar = line.appendChild(make("td")).appendChild(make("i"));
+      bar.style.width = `${100 * Math.max(0, Math.min(1, share ?? 0))}%`;
+      cell.className = "number";
+    };
+    for (const { name, rms, share } of given.stages) {
+      row(STAGES[name] ?? name, rms, name === "given" ? null : share);
+      // The share of the stage is divided among its effects by their squared amplitudes in standard deviations.
+      if (name === "effects" && share !== null) for (const effect of effects) row(effect.title, null, share * effect.share, true);
+    }
+    row("noise", given.noise_rms, null);
+  }
+
   // Parameters of the given model, with the intervals of its file, beside the data.
   addGiven({ given }) {
     if (!given) return;
-    const closes = ({ share }) => (share === null ? "" : `${Math.round(100 * share)} %`);
-    const stages = given.stages.map((stage) => [stage.name, written(round(stage.rms)), closes(stage)]);
-    this.addTable("Gap budget: residual after each stage", ["stage", "RMS", "closes"], stages).dataset.name = "budget";
     if (!given.parameters.length) return;
     const rows = given.parameters.map(({ name, unit, given: value, file_low, file_high, value: now, low, high, departs }) => [
       named(name), `${written(round(value))} ${unit}\n${interval(file_low, file_high)}`,

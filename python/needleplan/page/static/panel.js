@@ -1,9 +1,12 @@
 // The panel beside the plane: what the plan promises, what executions make of it, and how it was computed.
 // While two plans are compared, a second column shows the numbers of the pinned one.
 
+import { ofPlan, Sentences } from "./sentences.js";
+import { make, percent } from "./texts.js";
+
 const ROWS = {
   Success: ["predicted", "realised", "interval"],
-  Path: ["outcome", "length", "turns", "cost", "entry", "heading"],
+  Path: ["outcome", "length", "turns", "risk", "cost", "entry", "heading"],
   Solve: ["states", "status", "error", "time"],
 };
 
@@ -11,6 +14,7 @@ export class Panel {
   constructor(element) {
     this.element = element;
     this.parts = {};
+    this.sentences = new Sentences(element);
     for (const [title, names] of Object.entries(ROWS)) this.section(title, names);
     this.bar = this.makeBar();
     // What the grid of the plan does not resolve, or where executions break its promise.
@@ -45,7 +49,9 @@ export class Panel {
     return { element, interval, mark };
   }
 
-  show({ plan, executions, pinned }) {
+  show(store) {
+    const { plan, executions, pinned } = store;
+    this.sentences.show(ofPlan(store));
     this.element.classList.toggle("comparing", Boolean(pinned));
     this.write(texts(plan, executions), "");
     this.write(pinned ? texts(pinned.plan, pinned.executions) : {}, " pinned");
@@ -75,6 +81,7 @@ function texts(plan, executions) {
     outcome: plan.reached ? "target" : plan.outcome,
     length: `${plan.length_mm.toFixed(1)} mm`,
     turns: String(plan.turns),
+    risk: plan.risk ? `${plan.risk.distance_mm.toFixed(1)} mm, ${plan.risk.name.replace("obstacle ", "")}` : "none",
     cost: plan.predicted_cost === "inf" ? "∞" : String(Number(plan.predicted_cost.toPrecision(4))),
     entry: `${start.x_mm.toFixed(1)}, ${start.y_mm.toFixed(1)} mm`,
     heading: `${start.heading_deg.toFixed(1).replace("-", "−")}°, bevel ${start.bevel > 0 ? "+1" : "−1"}`,
@@ -83,18 +90,4 @@ function texts(plan, executions) {
     error: plan.error_bound === "inf" ? "no bound" : `≤ ${plan.error_bound.toPrecision(2)}`,
     time: `${(1000 * plan.seconds).toFixed(0)} ms`,
   };
-}
-
-export function percent(share) {
-  return `${(100 * share).toFixed(1)} %`;
-}
-
-export function roleWords(role) {
-  return { holdout: "held out", reference: "reference" }[role] ?? "training";
-}
-
-export function make(tag, text = "") {
-  const element = document.createElement(tag);
-  if (text) element.textContent = text;
-  return element;
 }

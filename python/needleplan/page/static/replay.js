@@ -66,6 +66,7 @@ export class Replay {
     if (track.force_n) parts.push(`force ${at(track.force_time_s, track.force_n, time_s).toFixed(2)} N`);
     const deviation = this.deviations(track);
     if (deviation) parts.push(`deviation ${at(track.tip_time_s, deviation, time_s).toFixed(2)} mm`);
+    if (track.risk_mm?.length) parts.push(`risk ${distance(at(track.tip_time_s, track.risk_mm, time_s))}`);
     if (decision) parts.push(`${decision.action}, success ${(100 * decision.success).toFixed(1)} %${this.store.successBy ?? ""}`);
     if (event) parts.push([event.name, event.cause].filter(Boolean).join(": "));
     const isEnd = time_s >= track.duration_s - 1e-3;
@@ -223,6 +224,9 @@ export function newest(times, time) {
   }
   return low;
 }
+
+// Distances from 30 mm on are not computed in 3D.
+const distance = (mm) => (mm >= 30 ? "30 mm or more" : `${mm.toFixed(1)} mm`);
 
 function at(times, values, time) {
   return values[newest(times, time)];

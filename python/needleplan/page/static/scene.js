@@ -45,14 +45,14 @@ export class Scene {
   load(volume) {
     this.volume = volume;
     if (!this.gl || !volume) return;
-    this.drop("target", "obstacle", "entries");
+    this.drop("target", "other target", "obstacle", "entries");
     const { shape, spacing_mm: spacing } = volume;
     this.center = shape.map((count) => ((count - 1) * spacing) / 2);
     this.size = Math.hypot(...shape.map((count) => count * spacing));
     const colours = palette();
     volume.bodies.forEach(({ kind, name }, number) => {
       const [positions, triangles] = [volume[`vertices${number}`], volume[`triangles${number}`]];
-      const tint = kind === "target" ? colours.target : bodyColour(name, number);
+      const tint = { target: colours.target, "other target": colours.faint }[kind] ?? bodyColour(name, number);
       this.add(kind, { positions, normals: normalsOf(positions, triangles), triangles }, tint);
     });
     const tints = new Float32Array(volume.success.length * 3);

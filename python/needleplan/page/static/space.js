@@ -3,10 +3,11 @@
 import { isDark } from "./colours.js";
 import { connect, save } from "./menus.js";
 import { ask, fetchBlob, load, openSession } from "./net.js";
-import { make, percent } from "./panel.js";
 import { Scene } from "./scene.js";
+import { withoutEntry } from "./sentences.js";
 import { Slices } from "./slices.js";
 import { SpaceReplay } from "./space_replay.js";
+import { make, percent } from "./texts.js";
 import { Twin } from "./twin.js";
 import { describe, SpacePanel } from "./space_panel.js";
 import { Newest } from "./wire.js";
@@ -48,7 +49,7 @@ function moved(at) {
 const entries = new Newest(async (number) => {
   let found;
   try {
-    found = await ask(offline ? `/api/entry ${number}` : "/api/entry", { number });
+    found = await ask(kept(`/api/entry`, ` ${number}`), { number, target: volume.target });
   } catch (refusal) {
     say(refusal.message);
     panel.leaveEstimate();
@@ -73,13 +74,18 @@ const entries = new Newest(async (number) => {
   }
 });
 
+// The path of a message, which an exported page holds for each entry and target.
+function kept(path, part = "", target = volume.target) {
+  return offline ? `${path}${part}${target ? ` ${target}` : ""}` : path;
+}
+
 // Asks for the estimated success of an entry, which takes about a second.
 const estimates = new Newest(async (number) => {
   try {
-    const found = await ask("/api/estimate", { number });
+    const found = await ask("/api/estimate", { number, target: volume.target });
     if (number !== chosen) return;
     Object.assign(entry, found);
-    panel.showEstimate(found);
+    panel.show(entry);
     tellEstimate(found);
   } catch (refusal) {
     if (number === chosen) panel.leaveEstimate();
@@ -101,13 +107,13 @@ function choose(number) {
   entries.request(number);
 }
 
-const replay = new SpaceReplay(element("replay"), element("numbers"), (tip) => {
+const replay = new SpaceReplay(element("replay"), panel, (tip) => {
   // Screen readers are not told the place of the tip while it plays.
   element("there").setAttribute("aria-live", replay.playing ? "off" : "polite");
   if (tip && follows) slices.moveToPoint(tip);
   paint();
 });
-const twin = new Twin(element("twin"), replay, say, () => (entry ? { number: entry.number } : null));
+const twin = new Twin(element("twin"), replay, say, () => (entry ? { number: entry.number, target: volume.target } : null));
 
 const SHOWN = [
   ["field", "success by the table, best direction; else tissues", (on) => { slices.show.field = on; }],
@@ -141,7 +147,7 @@ function addChecks(list) {
 
 async function download(path, name) {
   try {
-    save(await fetchBlob(path, {}), name);
+    save(await fetchBlob(path, { target: volume.target }), name);
   } catch (refusal) {
     say(refusal.message);
   }
@@ -202,6 +208,40 @@ function beginReplay(track) {
   document.body.dataset.state = "done";
 }
 
+// Says in place of the 3D view why it is missing; all else works without it.
+function tellWithoutGraphics() {
+  const figure = element("scene");
+  figure.querySelector("canvas").remove();
+  figure.querySelector("figcaption").textContent = "3D view";
+  const text = "This browser has no WebGL 2, which the 3D view needs: allow graphics acceleration in its settings, or " +
+    "use another browser. Slices, numbers and entries work without it.";
+  figure.appendChild(make("p", text)).className = "missing";
+}
+
+// Of several targets, the path and the fields are those of the chosen one.
+function addTargets() {
+  if (volume.targets.length < 2 || isRecording) return;
+  const label = element("targets").appendChild(make("label", "Target "));
+  const choice = label.appendChild(make("select"));
+  for (const name of volume.targets) choice.append(new Option(name, name));
+  choice.value = volume.target;
+  choice.addEventListener("change", () => chooseTarget(choice.value));
+}
+
+async function chooseTarget(target) {
+  document.body.dataset.state = "asked";
+  try {
+    volume = await ask(kept("/api/volume", "", target), { target });
+  } catch (refusal) {
+    say(refusal.message);
+    return;
+  }
+  slices.load(volume);
+  scene.load(volume);
+  panel.load(volume);
+  choose(chosen);
+}
+
 async function begin() {
   openSession();
   let opened;
@@ -212,7 +252,7 @@ async function begin() {
     element("title").textContent = opened.title || opened.source;
     document.title = `${opened.title || opened.source} – needleplan`;
     if (!offline) say("Solving all directions at all grid points, and comparing the best entries by executions; this takes some seconds.");
-    volume = await ask("/api/volume", {});
+    volume = await ask(kept("/api/volume", "", opened.targets?.[0] ?? ""), {});
   } catch (refusal) {
     say(refusal.message);
     if (refusal.kind === "away") setTimeout(begin, 1500);
@@ -223,7 +263,8 @@ async function begin() {
   scene.load(volume);
   panel.load(volume);
   addChecks(opened.is_recording ? SHOWN_OF_RUN : SHOWN);
-  if (!scene.gl) say("This browser shows no 3D view: it has no WebGL 2.");
+  if (!scene.gl) tellWithoutGraphics();
+  addTargets();
   if (opened.is_recording) {
     try {
       beginReplay(await ask("/api/recording", {}));
@@ -236,7 +277,8 @@ async function begin() {
     choose(volume.ranked[0].number);
     return;
   }
-  say(volume.impossible ? "Impossible: no path of this needle leads from the entry region to the target." : "No entry reaches the target in 0.1 % of executions; that no path exists is not proved.");
+  panel.sentences.show(withoutEntry(volume));
+  element("live").textContent = withoutEntry(volume).join(" ");
   slices.tell();
   document.body.dataset.state = "done";
 }

@@ -1,9 +1,10 @@
 // The panel beside the views: the chosen entry, the point of the slices, what is shown, and the ranked entries.
 
-import { make, percent } from "./panel.js";
+import { ofEntry, Sentences } from "./sentences.js";
+import { make, percent } from "./texts.js";
 
 const ROWS = {
-  Entry: ["success", "interval", "by the table", "expected", "length", "clearance", "turns", "loss 2 mm", "loss 2°", "entry, RAS", "direction"],
+  Entry: ["success", "interval", "by the table", "expected", "length", "risk", "turns", "loss 2 mm", "loss 2°", "entry, RAS", "direction"],
   Solve: ["states", "status", "time"],
 };
 
@@ -14,6 +15,7 @@ export class SpacePanel {
     this.parts = {};
     this.ranked = ranked;
     this.choose = choose;
+    this.sentences = new Sentences(numbers);
     for (const [title, names] of Object.entries(ROWS)) {
       const table = numbers.appendChild(make("table"));
       table.append(make("caption", title));
@@ -27,22 +29,25 @@ export class SpacePanel {
   }
 
   load(volume) {
+    this.volume = volume;
     this.write({
       states: volume.states.toLocaleString("en"), status: volume.status.replace("_", " "), time: `${volume.seconds.toFixed(1)} s`,
     });
     const table = make("table");
     table.className = "list";
-    table.append(make("caption", "Ranked by expected success, in %; by executions"));
+    const several = volume.targets.length > 1;
+    table.append(make("caption", `Ranked by expected ${several ? "number of targets" : "success, in %; by executions"}`));
     const head = table.appendChild(make("thead")).appendChild(make("tr"));
-    for (const name of ["rank", "expected", "success", "clear", "length", "turns"]) head.appendChild(make("th", name)).scope = "col";
+    for (const name of ["rank", several ? "targets" : "expected", "success", "clear", "length", "turns"]) head.appendChild(make("th", name)).scope = "col";
     const body = table.appendChild(make("tbody"));
     volume.ranked.forEach((each, index) => {
       const row = body.appendChild(make("tr"));
       row.dataset.number = each.number;
       const button = row.appendChild(make("td")).appendChild(make("button", String(index + 1)));
-      button.setAttribute("aria-label", `Entry ${index + 1}, expected success ${percent(each.expected_success)}`);
+      const worth = several ? `expected number of targets ${each.score.toFixed(2)}` : `expected success ${percent(each.expected_success)}`;
+      button.setAttribute("aria-label", `Entry ${index + 1}, ${worth}`);
       button.addEventListener("click", () => this.choose(each.number));
-      for (const text of [points(each.expected_success), points(each.success), each.clearance_mm.toFixed(1), each.length_mm.toFixed(0), String(each.turns)]) {
+      for (const text of [several ? each.score.toFixed(2) : points(each.expected_success), points(each.success), each.clearance_mm.toFixed(1), each.length_mm.toFixed(0), String(each.turns)]) {
         row.appendChild(make("td", text));
       }
     });
@@ -62,7 +67,7 @@ export class SpacePanel {
     this.write({
       "by the table": percent(entry.table_success),
       length: `${entry.length_mm.toFixed(1)} mm`,
-      clearance: `${entry.clearance_mm.toFixed(1)} mm`,
+      risk: entry.risk ? `${entry.risk.distance_mm.toFixed(1)} mm, ${entry.risk.name}` : "none near",
       turns: String(entry.turns),
       "loss 2 mm": `${(100 * entry.shift_cost).toFixed(1)} points`,
       "loss 2°": `${(100 * entry.tilt_cost).toFixed(1)} points`,
@@ -70,6 +75,7 @@ export class SpacePanel {
       direction: numbers(entry.direction, 3),
     });
     this.showEstimate(entry);
+    this.sentences.show(ofEntry(entry, this.volume));
     for (const row of this.ranked.querySelectorAll("tbody tr")) {
       const chosen = Number(row.dataset.number) === entry.number;
       row.classList.toggle("chosen", chosen);

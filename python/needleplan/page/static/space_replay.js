@@ -1,14 +1,15 @@
 // A 3D insertion, recorded or in the lab twin: executed path, tip and rotations over time, and how it ended.
 
-import { make, percent } from "./panel.js";
 import { newest, Replay } from "./replay.js";
+import { ofInsertion } from "./sentences.js";
+import { make, percent } from "./texts.js";
 
 const NOTHING = { executed_mm: new Float32Array(0), turns_mm: [] };
 
 export class SpaceReplay {
-  // `moved` is called with the position (mm) of the tip, or null, when another time is shown.
-  constructor(element, numbers, moved) {
-    Object.assign(this, { numbers, moved, track: null, run: NOTHING });
+  // `panel` shows sentences and numbers. `moved` is called with the position (mm) of the tip, or null, when another time is shown.
+  constructor(element, panel, moved) {
+    Object.assign(this, { panel, moved, track: null, run: NOTHING });
     this.store = { replay: null, plan: null, document: null, successBy: " by the table", tell: () => this.tell() };
     this.replay = new Replay(element, this.store);
     this.table = make("table");
@@ -52,6 +53,7 @@ export class SpaceReplay {
     const executed = track.tip.subarray(0, 3 * count);
     const turns = this.turns.filter((each) => each.time_s <= time).map((each) => [each.x_mm, each.y_mm, each.z_mm]);
     this.run = { executed_mm: executed, turns_mm: turns };
+    this.panel.sentences.show(ofInsertion(store.replay));
     this.moved(count ? [...executed.subarray(3 * count - 3)] : null);
   }
 
@@ -93,6 +95,6 @@ export class SpaceReplay {
       row.appendChild(make("td", text)).dataset.name = name;
     }
     table.hidden = false;
-    if (!table.parentElement) this.numbers.prepend(table);
+    if (!table.parentElement) this.panel.sentences.element.after(table);
   }
 }

@@ -1,6 +1,6 @@
 // Values under the pointer: position, success, heading and cost of the nearest grid point.
 
-import { make, percent } from "./panel.js";
+import { make, percent } from "./texts.js";
 
 export class Values {
   constructor(section, element, plane, store) {

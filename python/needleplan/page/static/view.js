@@ -9,12 +9,13 @@ import { Handles } from "./handles.js";
 import { Keep } from "./keep.js";
 import { connect } from "./menus.js";
 import { ask, load, openSession } from "./net.js";
-import { Panel, percent } from "./panel.js";
+import { Panel } from "./panel.js";
 import { Plane } from "./plane.js";
 import { Planner } from "./planner.js";
 import { Replay } from "./replay.js";
 import { called, newObstacle } from "./shapes.js";
 import { Store } from "./store.js";
+import { percent } from "./texts.js";
 import { Twin } from "./twin.js";
 import { Values } from "./values.js";
 

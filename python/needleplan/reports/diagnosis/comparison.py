@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from needleplan.artifacts import short_html, short_repr
+from needleplan.artifacts import call_repr, short_html, short_repr
 from needleplan.diagnosis import Settings
 from needleplan.diagnosis.calibration import calibrate_trial
 from needleplan.diagnosis.data import Lack, check_data, measured_output, sensor_noise
@@ -53,6 +53,8 @@ class TrialGap:
     without: float
     noise: float
     steps: tuple[float, ...] = ()
+
+    __repr__ = call_repr
 
     @property
     def explained(self) -> float:

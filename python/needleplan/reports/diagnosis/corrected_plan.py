@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from needleplan.artifacts import write_whole
+from needleplan.artifacts import call_repr, write_whole
 from needleplan.diagnosis import Diagnosis, Verdict
 from needleplan.errors import InputError, Mistake, ModelError
 from needleplan.models import Channel, InPlane, Model, Torsion, in_plane
@@ -47,6 +47,8 @@ class CorrectedPlan:
     bends: InPlane
     torsion: Torsion | None = None
     path: Identified | None = None
+
+    __repr__ = call_repr
 
     @property
     def heading_rad(self) -> float:

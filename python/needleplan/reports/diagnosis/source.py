@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 from typing import Any
 
+from needleplan.artifacts import call_repr
+
 __all__ = ["DiagnosisSource"]
 
 
@@ -42,6 +44,8 @@ class DiagnosisSource:
     effects: tuple[str, ...] = ()
     frame: str | None = None
     reference: tuple[str, ...] = ()
+
+    __repr__ = call_repr
 
     def document(self) -> dict[str, Any]:
         """Return the entry `source` of `diagnosis.json`, as a dictionary of JSON values."""
