@@ -8,6 +8,7 @@ import numpy as np
 
 from needleplan.errors import DataError
 from needleplan.page._packing import pack
+from needleplan.page._sensed import Sensed
 from needleplan.planning import Pose
 from needleplan.scenario import Scenario
 
@@ -45,7 +46,7 @@ def track_message(recording: Recording) -> bytes:
     tip = np.stack([columns["time_s"] - begin_s, *(columns[name] for name in ("x_mm", "y_mm", "heading_rad"))], axis=1)
     decisions, events = messages_of(recording, _plane_decision)
     header = {"duration_s": recording.duration_s, "decisions": decisions, "events": events}
-    return packed_track(header, tip, force_along(recording))
+    return packed_track(header, tip, force_along(recording), Sensed.of(recording))
 
 
 def force_along(recording: Recording) -> NDArray[np.float64]:
@@ -77,7 +78,9 @@ def _plane_decision(values: Any) -> dict[str, Any]:
     return {"x_mm": values["pose"][0], "y_mm": values["pose"][1]} | _some(values, ("action", "success"))
 
 
-def packed_track(header: Mapping[str, Any], tip: NDArray[np.float64], force: NDArray[np.float64]) -> bytes:
+def packed_track(
+    header: Mapping[str, Any], tip: NDArray[np.float64], force: NDArray[np.float64], sensed: Sensed | None = None
+) -> bytes:
     """Return the message on an insertion.
 
     Parameters
@@ -88,6 +91,8 @@ def packed_track(header: Mapping[str, Any], tip: NDArray[np.float64], force: NDA
         Time (s), x_mm, y_mm and heading_rad of the tip, shape (n, 4).
     force : numpy.ndarray
         Time (s) and axial force (N), shape (m, 2); none if m is 0.
+    sensed : Sensed, optional
+        Samples of curvature sensors and images.
 
     Returns
     -------
@@ -97,7 +102,8 @@ def packed_track(header: Mapping[str, Any], tip: NDArray[np.float64], force: NDA
     arrays: dict[str, NDArray[Any]] = {"tip_time_s": tip[:, 0], "tip": tip[:, 1:]}
     if len(force):
         arrays |= {"force_time_s": force[:, 0], "force_n": force[:, 1]}
-    return pack(header, arrays)
+    more, measured = sensed.packed(in_space=False) if sensed else ({}, {})
+    return pack({**header, **more}, {**arrays, **measured})
 
 
 def thinned(samples: NDArray[Any]) -> NDArray[Any]:

@@ -1,0 +1,158 @@
+"""Measure the error at the target by the true tip: with curvature sensors, images, and a target that the needle pushes.
+
+python benches/python/targeting.py --json benches/results/targeting.json > benches/results/targeting.md
+python benches/python/targeting.py --seeds 1          # short test run
+
+Closed-loop insertions of `four_obstacles` in the lab twin `steering` with the tip noise of the steering study; a seed
+gives the same needle and the same noise of the tracker in all rows of a table. Curvature sensors: 10, 30, 65 and 100 mm
+behind the tip, 2e-4 1/mm of white noise, constant errors of 1e-4 1/mm. Images in the plane of the plan: 1 mm of white
+noise along each axis, 30 % missed, 5 % outliers, 0.15 s late. Pushing: the tissue has a shear modulus of 20 kPa and
+gives way to the tip, which pushes with 0.3 N. An error is that to the moved target, and a success is a tip within the
+given radius of it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import machine
+import numpy as np
+from scipy.stats import bootstrap
+
+from needleplan.models.deflection import FibreSensors
+from needleplan.models.path import ImagePlane
+from needleplan.models.tissue import NeedlePush
+from needleplan.planning import wilson
+from needleplan.scenario import Scenario
+from needleplan_thesis.steering import (
+    Guidance,
+    SteeringCase,
+    SteeringTask,
+    SteeringTrial,
+    run_trial,
+    steering_simulation,
+)
+
+SCENARIO = Scenario.read("four_obstacles")
+SENSORS, PLANE = FibreSensors((10.0, 30.0, 65.0, 100.0)), ImagePlane()
+ERRORS = {
+    "fibre_noise_per_mm": 2e-4, "fibre_bias_per_mm": 1e-4, "ultrasound_noise_mm": 1.0, "ultrasound_missed": 0.3,
+    "ultrasound_outliers": 0.05, "ultrasound_delay_s": 0.15,
+}  # fmt: skip
+MODULUS_N_MM2 = 0.02
+NEAR, FAR = "coil 3 mm behind the tip", "coil 30 mm behind the tip"
+PUSHED = "target that the needle pushes"
+
+
+@dataclass(frozen=True)
+class Kind:
+    """A row of a table: title of the table, name, and what differs from the lab twin `steering` and its plan."""
+
+    table: str
+    name: str
+    coil_mm: float = 3.0
+    fibre: bool = False
+    images: bool = False
+    modulus_n_mm2: float | None = None
+    margin: bool = False
+
+    def case(self) -> SteeringCase:
+        """Return scenario and lab of the insertions."""
+        found, scenario = steering_simulation(), SCENARIO
+        effects = replace(found.setup.effects, coil_offset_mm=self.coil_mm, **ERRORS)
+        setup = replace(
+            found.setup, effects=effects, fibre=SENSORS if self.fibre else None,
+            ultrasound=PLANE if self.images else None,
+            tissue=replace(found.setup.tissue, shear_modulus_n_mm2=self.modulus_n_mm2),
+        )  # fmt: skip
+        if self.margin:
+            push, target = NeedlePush(MODULUS_N_MM2, setup.shaft.radius_mm), scenario.target
+            less = target.radius_mm - push.at_tip_mm(setup.tissue.cutting_n)
+            scenario = replace(scenario, target=replace(target, radius_mm=less))
+        return SteeringCase(self.name, scenario, replace(found, setup=setup))
+
+
+KINDS = (
+    *(
+        Kind(table, name, coil, fibre, images)
+        for table, coil in ((NEAR, 3.0), (FAR, 30.0))
+        for name, fibre, images in (
+            ("tracker", False, False), ("and curvature sensors", True, False), ("and images", False, True),
+            ("and both", True, True),
+        )
+    ),
+    Kind(PUSHED, "planned at rest", modulus_n_mm2=MODULUS_N_MM2),
+    Kind(PUSHED, "planned with `--push`", modulus_n_mm2=MODULUS_N_MM2, margin=True),
+)  # fmt: skip
+
+
+def row(kind: Kind, trials: list[SteeringTrial]) -> dict[str, Any]:
+    """Return the statistics of the insertions of one kind; distances (mm) are those of the true tip in 3D."""
+    distances = np.array([trial.in_space_mm for trial in trials])
+    failed = [t for t in trials if t.touched or t.left or t.in_space_mm > SCENARIO.target.radius_mm]
+    mean = bootstrap((distances,), np.mean, method="percentile", rng=1) if len(trials) > 1 else None
+    interval = mean.confidence_interval if mean else (distances[0], distances[0])
+    ends = Counter("an obstacle" if trial.touched else f"ended as {trial.outcome}" for trial in failed)
+    return {
+        "kind": asdict(kind), "runs": len(trials), "predicted": trials[0].predicted,
+        "error_mm": float(distances.mean()), "interval_mm": [float(each) for each in interval],
+        "median_mm": float(np.median(distances)), "successes": len(trials) - len(failed),
+        "success_interval": wilson(len(trials) - len(failed), len(trials)), "failures": dict(ends),
+        "errors_mm": [round(each, 4) for each in distances.tolist()],
+    }  # fmt: skip
+
+
+def lines(rows: list[dict[str, Any]]) -> Iterator[str]:
+    """Yield the lines of the tables."""
+    table = ""
+    for each in rows:
+        if each["kind"]["table"] != table:
+            table = each["kind"]["table"]
+            yield from ("", f"## {table.capitalize()}", "")
+            yield "| | mean error (95 % interval) | median | predicted | successes (95 % interval) | failures |"
+            yield "|---|--:|--:|--:|--:|---|"
+        low, high = each["interval_mm"]
+        least, most = each["success_interval"]
+        failures = ", ".join(f"{count} {end}" for end, count in each["failures"].items())
+        yield (
+            f"| {each['kind']['name']} | {each['error_mm']:.2f} mm ({low:.2f} to {high:.2f}) | "
+            f"{each['median_mm']:.2f} mm | {each['predicted']:.2f} | {each['successes']} of {each['runs']} "
+            f"({least:.2f} to {most:.2f}) | {failures} |"
+        )
+
+
+def main() -> int:
+    """Run the insertions and print the tables; with --json, write the results after every seed."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--seeds", type=int, default=30, help="insertions of each kind (30)")
+    parser.add_argument("--tables", nargs="+", default=(NEAR, FAR, PUSHED), help="run these; keep others of the file")
+    parser.add_argument("--json", type=Path, metavar="FILE")
+    options = parser.parse_args()
+    about, known = machine.description(), []
+    if options.json and options.json.exists() and len(options.tables) < len({kind.table for kind in KINDS}):
+        known = json.loads(options.json.read_text(encoding="utf-8"))["rows"]
+    known = [each for each in known if each["kind"]["table"] not in options.tables]
+    trials: dict[Kind, list[SteeringTrial]] = {kind: [] for kind in KINDS if kind.table in options.tables}
+    for seed in range(options.seeds):
+        for kind, done in trials.items():
+            done.append(run_trial(SteeringTask(kind.case(), Guidance.REPLANNED, seed)))
+            print(f"{seed}: {kind.table}, {kind.name}: {done[-1].in_space_mm:.2f} mm", file=sys.stderr, flush=True)
+        rows = [*known, *(row(kind, done) for kind, done in trials.items())]
+        if options.json:
+            options.json.write_text(json.dumps({"machine": about, "rows": rows}, indent=1) + "\n", encoding="utf-8")
+    order = [kind.table for kind in KINDS]
+    print("Error at the target by the true tip, in 3D: insertions in the lab twin with equal seeds in each table.")
+    print(f"{about['processor']}, {about['date'][:10]}, commit {about['commit']}, Python {about['python']}.")
+    print("\n".join(lines(sorted(rows, key=lambda each: order.index(each["kind"]["table"])))))
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
