@@ -21,17 +21,19 @@ if TYPE_CHECKING:
 
 __all__ = ["Sensed"]
 
-# Largest number of samples of the sensors that the page draws, and of arcs of a shape.
-_MOST_SAMPLES, _ARCS = 400, 24
+# Largest number of samples of the sensors that the page draws.
+_MOST_SAMPLES = 300
+# Length (mm) of path over which the readings of all sensors are averaged for the shape: one arc.
+_ARC_MM = 1.0
 # Columns of the tip in `Sensed.tip` after the time.
-_TIP = ("x_mm", "y_mm", "z_mm", "heading_rad", "elevation_rad", "roll_rad")
+_TIP = ("x_mm", "y_mm", "z_mm", "heading_rad", "elevation_rad", "roll_rad", "depth_mm")
 
 
 @dataclass(frozen=True)
 class Sensed:
     """Samples of the curvature sensors and of the images of an insertion. Times are in s from the first message.
 
-    - `tip`: time (s), x, y, z (mm), heading, elevation and roll (rad) of the estimated tip, shape (n, 7)
+    - `tip`: time (s), x, y, z (mm), heading, elevation, roll (rad) and depth (mm) of the estimated tip, shape (n, 8)
     - `fibre`, `curvatures`: sensors of the needle, or None; their samples as time (s) and curvatures y and z (1/mm) of
       each sensor, shape (m, 1 + 2 sensors)
     - `plane`, `images`: image plane, or None; time (s) and position u and v (mm), NaN if missed, shape (k, 3)
@@ -72,48 +74,62 @@ class Sensed:
         -------
         tuple
             `sensors_mm` in the header. Arrays: `sensed_time_s` (m), `sensed_per_m` (m, sensors), `shape_mm` (m, points,
-            2 or 3) from the tip to the last sensor; `image_time_s` (k), `image_mm` (k, 2 or 3), NaN if missed.
+            2 or 3) from the entry to the first sensor, NaN beyond; `image_time_s` (k), `image_mm` (k, 2 or 3), NaN if
+            missed.
         """
         header: dict[str, Any] = {}
         arrays: dict[str, NDArray[np.float32]] = {}
         axes = 3 if in_space else 2
         if self.fibre and len(self.curvatures) and len(self.tip):
-            kept = self.curvatures[:: -(-len(self.curvatures) // _MOST_SAMPLES)]
-            places = [self._at(time_s) for time_s in kept[:, 0].tolist()]
-            bends = [self._bends(row, roll) for row, (*_, roll) in zip(kept[:, 1:], places, strict=True)]
-            shapes = [self._shape(bend, place) for bend, place in zip(bends, places, strict=True)]
-            shown = np.abs(bends) if in_space else np.real(bends)
+            every = -(-len(self.curvatures) // _MOST_SAMPLES)
+            time_s, bends = self.curvatures[:, 0], self._bends()
+            shown = np.abs(bends) if in_space else bends.real
             header["sensors_mm"] = list(self.fibre.from_tip_mm)
-            arrays["sensed_time_s"] = kept[:, 0].astype(np.float32)
-            arrays["sensed_per_m"] = (1e3 * shown).astype(np.float32)
-            arrays["shape_mm"] = np.array(shapes)[:, :, :axes].astype(np.float32)
+            arrays["sensed_time_s"] = time_s[::every].astype(np.float32)
+            arrays["sensed_per_m"] = (1e3 * shown[::every]).astype(np.float32)
+            arrays["shape_mm"] = self._shapes(bends, every)[:, :, :axes].astype(np.float32)
         if self.plane and len(self.images):
             places_mm = self.images[:, 1:] @ self.plane.axes[:2] + self.plane.origin_mm
             arrays["image_time_s"] = self.images[:, 0].astype(np.float32)
             arrays["image_mm"] = places_mm[:, :axes].astype(np.float32)
         return header, arrays
 
-    def _at(self, time_s: float) -> tuple[float, ...]:
-        """Return x, y, z (mm), heading, elevation and roll (rad) of the last estimate before a time, or of the first."""
-        row = max(int(np.searchsorted(self.tip[:, 0], time_s, side="right")) - 1, 0)
-        return tuple(self.tip[row, 1:].tolist())
+    def _bends(self) -> NDArray[np.complex128]:
+        """Return the curvatures (1/mm) of each sensor to the left (real part) and upwards (imaginary part)."""
+        roll = np.interp(self.curvatures[:, 0], self.tip[:, 0], self.tip[:, 6])
+        return (self.curvatures[:, 1::2] + 1j * self.curvatures[:, 2::2]) * np.exp(1j * roll)[:, None]
 
-    def _bends(self, curvatures: NDArray[np.float64], roll_rad: float) -> NDArray[np.complex128]:
-        """Return the curvatures (1/mm) of the sensors to the left (real part) and upwards (imaginary part)."""
-        return (curvatures[::2] + 1j * curvatures[1::2]) * np.exp(1j * roll_rad)
+    def _shapes(self, bends: NDArray[np.complex128], every: int) -> NDArray[np.float64]:
+        """Return points (mm) of the needle at each `every`-th sample, from the entry to the first sensor; NaN beyond.
 
-    def _shape(self, bends: NDArray[np.complex128], place: tuple[float, ...]) -> list[tuple[float, float, float]]:
-        """Return points (mm) of the needle from the tip back to the last sensor; NaN without a reading."""
+        The curvature at a place of the path is the mean of all readings there up to this sample, by the length by which
+        the needle has advanced: at rest it turns. Arcs begin with the estimated pose of the tip at the entry.
+        """
         assert self.fibre
-        x, y, z, heading, elevation, _ = place
-        at, known = np.array(self.fibre.from_tip_mm), np.isfinite(bends)
-        if not known.any():
-            return [(math.nan, math.nan, math.nan)] * (_ARCS + 1)
-        step = (at[-1] + self.fibre.gauge_mm / 2) / _ARCS
-        bend = np.interp((np.arange(_ARCS) + 0.5) * step, at[known], bends[known])
-        frame = TipFrame.planar(x, y, heading).raised(elevation).moved((0.0, 0.0, z))
-        points = [frame.position_mm]
-        for left, up in zip(bend.real.tolist(), bend.imag.tolist(), strict=True):
-            frame = frame.arc(left, up, -step)
-            points.append(frame.position_mm)
+        depth = np.interp(self.curvatures[:, 0], self.tip[:, 0], self.tip[:, 7])
+        places = depth[:, None] - np.array(self.fibre.from_tip_mm)
+        arcs = max(math.ceil(places.max() / _ARC_MM), 1)
+        fresh = np.diff(np.maximum.accumulate(depth), prepend=depth[0])
+        known = np.isfinite(bends) & (places > 0) & (fresh[:, None] > 0)
+        lengths = np.broadcast_to(fresh[:, None], known.shape)
+        numbers = np.minimum((np.where(known, places, 0.0) / _ARC_MM).astype(int), arcs - 1)
+        sums, weights = np.zeros(arcs, complex), np.zeros(arcs)
+        _, x, y, z, heading, elevation, *_ = self.tip[min(np.searchsorted(self.tip[:, 7], 0.0), len(self.tip) - 1)]
+        entry = TipFrame.planar(x, y, heading).raised(elevation).moved((0.0, 0.0, z))
+        points = np.full((-(-len(bends) // every), arcs + 1, 3), np.nan)
+        for row, begin in enumerate(range(0, len(bends), every)):
+            block = slice(max(begin - every + 1, 0), begin + 1)
+            used = known[block]
+            here, length = numbers[block][used], lengths[block][used]
+            np.add.at(sums, here, length * bends[block][used])
+            np.add.at(weights, here, length)
+            frame = entry
+            if weights[0]:
+                points[row, 0] = frame.position_mm
+            for arc in range(int(places[begin].max() / _ARC_MM)):
+                if not weights[arc]:
+                    break
+                mean = sums[arc] / weights[arc]
+                frame = frame.arc(float(mean.real), float(mean.imag), _ARC_MM)
+                points[row, arc + 1] = frame.position_mm
         return points

@@ -89,7 +89,7 @@ export class Scene {
       this.add("executed", tube(executed, EXECUTED_MM), colours.executed);
       this.add("tip", ball(executed.subarray(executed.length - 3), TIP_MM), colours.executed);
     }
-    if (shape.length && shape.every(Number.isFinite)) this.add("shape", tube(shape, EXECUTED_MM), colours.after);
+    if (shape.length > 3) this.add("shape", tube(shape, EXECUTED_MM), colours.after);
     if (seen.length) this.add("seen", joined(seen.map((point) => ball(point, EXECUTED_MM))), colours.tissue);
     if (turns.length) this.add("turns", joined(turns.map((point) => ball(point, TURN_MM))), colours.turn);
   }

@@ -75,7 +75,7 @@ function drawCurvatures(context, track, { x, bottom }, colours) {
   const named = sensors.map((mm, sensor) => [`${mm} mm`, colours.after, styles[sensor % styles.length]]);
   const what = track.shape_mm.shape[2] === 3 ? "curvature in 1/m" : "curvature to the left in 1/m";
   named[0][0] = `${what}, by the place behind the tip: ${named[0][0]}`;
-  return named;
+  return [...named, ["shape of the needle by all readings, in the view", colours.after, "dashed"]];
 }
 
 function drawImages(context, track, { x, top, bottom }, colours) {
@@ -86,7 +86,7 @@ function drawImages(context, track, { x, top, bottom }, colours) {
     context.lineWidth = 1.5;
     stroke(context, seen ? [[x(time), top + 3], [x(time), bottom]] : [[x(time), bottom - 4], [x(time), bottom]]);
   });
-  return [["tip in the image (long mark)", colours.turn, "solid"], ["missed (short mark)", colours.failed, "solid"]];
+  return [["tip in the image (long mark; circle in the view)", colours.turn, "solid"], ["missed (short mark)", colours.failed, "solid"]];
 }
 
 // Draws the shape of the needle by its sensors at a time on a plane, and the positions in images up to this time.
@@ -107,7 +107,7 @@ export function drawNeedle(context, plane, { track, time_s }, colours) {
     const points = shapeAt(track, time_s);
     const line = [];
     for (let place = 0; place < points.length; place += 2) line.push(plane.at([points[place], points[place + 1]]));
-    for (const [colour, width, dash] of [[colours.halo, 5, []], [colours.after, 2.25, [7, 3]]]) {
+    for (const [colour, width, dash] of [[colours.halo, 4, []], [colours.after, 2.25, [7, 3]]]) {
       context.setLineDash(dash);
       context.strokeStyle = colour;
       context.lineWidth = width;
@@ -117,11 +117,13 @@ export function drawNeedle(context, plane, { track, time_s }, colours) {
   }
 }
 
-// Points (mm) of the needle by its sensors at a time, the tip first.
+// Points (mm) of the needle by its sensors at a time, from the entry to the first sensor.
 export function shapeAt(track, time_s) {
   const size = track.shape_mm.shape[1] * track.shape_mm.shape[2];
   const row = newest(track.sensed_time_s, time_s);
-  return track.shape_mm.subarray(row * size, (row + 1) * size);
+  const points = track.shape_mm.subarray(row * size, (row + 1) * size);
+  const end = points.findIndex(Number.isNaN);
+  return end < 0 ? points : points.subarray(0, end);
 }
 
 // Number of the newest sample at a time; at least 0.
