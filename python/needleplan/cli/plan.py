@@ -102,9 +102,10 @@ def add_to(commands: Any) -> None:
     )
     parser.add_argument(
         "--push",
-        metavar="F,G,A",
+        metavar="F,G,A[,S,L]",
         help="margin for a target that the needle pushes away: force of the tip in N, shear modulus of the tissue in "
-        "N/mm^2, radius of the needle in mm",
+        "N/mm^2, radius of the needle in mm; for the push of the shaft, too, its friction in N and the length of the "
+        "path in mm",
     )
     parser.add_argument(
         "--after",
@@ -206,7 +207,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _target_shift_mm(scenario: Scenario, options: argparse.Namespace) -> float | None:
-    """Return the largest displacement (mm) of the target by the push of the tip, or None without `--push`.
+    """Return the displacement (mm) of a target that the tip reaches, by tip and shaft, or None without `--push`.
 
     A tip that comes within the radius less this displacement of the planned centre is in the target, however far the
     target has been pushed. Raises InputError for wrong numbers, and if nothing of the radius is left.
@@ -215,8 +216,18 @@ def _target_shift_mm(scenario: Scenario, options: argparse.Namespace) -> float |
         return None
     from needleplan.models.tissue import NeedlePush
 
-    force_n, modulus, radius_mm = numbers("--push", options.push, 3)
-    shift = abs(NeedlePush(modulus, radius_mm).at_tip_mm(force_n))
+    force_n, modulus, radius_mm, *shaft = numbers("--push", options.push, 3, 5, form="F,G,A or F,G,A,S,L")
+    friction_n, length_mm = shaft or (0.0, math.inf)
+    rules = (("F", force_n, "N, at least 0", force_n >= 0), ("S", friction_n, "N, at least 0", friction_n >= 0),
+             ("L", length_mm, "mm above 0", length_mm > 0))  # fmt: skip
+    if wrong := [
+        Mistake(f"--push {name}", f"{value:g}", f"must be {rule}") for name, value, rule, ok in rules if not ok
+    ]:
+        raise InputError(wrong)
+    push = NeedlePush(modulus, radius_mm)
+    shift = push.at_tip_mm(force_n)
+    if shaft:
+        shift = push.shift_mm(force_n, friction_n, length_mm, ahead_mm=0.0, aside_mm=0.0)
     target_mm = scenario.target.radius_mm
     if not shift < target_mm:
         rule = f"pushes the target by {shift:.2f} mm, which must be less than its radius, {target_mm:g} mm"

@@ -81,6 +81,9 @@ def _lines(done: Run, title: str) -> Iterator[str]:
     yield f"  tip          x {x:.2f} mm, y {y:.2f} mm, z {z:.2f} mm"
     yield f"  force        at most {found['largest_force_n']:.3g} N"
     yield f"  tracker      {found['missing_frames']} of {len(done.poses)} frames missing"
+    if done.images:
+        never = "" if found["images_with_tip"] else ": no move brings the tip into the slice of [ultrasound]"
+        yield f"  ultrasound   the tip is in {found['images_with_tip']} of {len(done.images)} images{never}"
 
 
 def _require(options: argparse.Namespace) -> None:
@@ -108,4 +111,5 @@ def _summary(done: Run) -> dict[str, Any]:
         "tip_mm": list(done.tip.position_mm),
         "largest_force_n": max(forces, default=0.0),
         "missing_frames": sum(pose.health is Health.MISSING for pose in done.poses),
+        "images_with_tip": sum(image.health is not Health.MISSING for image in done.images),
     }

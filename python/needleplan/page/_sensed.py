@@ -97,7 +97,8 @@ class Sensed:
     def _bends(self) -> NDArray[np.complex128]:
         """Return the curvatures (1/mm) of each sensor to the left (real part) and upwards (imaginary part)."""
         roll = np.interp(self.curvatures[:, 0], self.tip[:, 0], self.tip[:, 6])
-        return (self.curvatures[:, 1::2] + 1j * self.curvatures[:, 2::2]) * np.exp(1j * roll)[:, None]
+        bends: NDArray[np.complex128] = self.curvatures[:, 1::2] + 1j * self.curvatures[:, 2::2]
+        return np.asarray(bends * np.exp(1j * roll)[:, None])
 
     def _shapes(self, bends: NDArray[np.complex128], every: int) -> NDArray[np.float64]:
         """Return points (mm) of the needle at each `every`-th sample, from the entry to the first sensor; NaN beyond.
@@ -114,7 +115,7 @@ class Sensed:
         lengths = np.broadcast_to(fresh[:, None], known.shape)
         numbers = np.minimum((np.where(known, places, 0.0) / _ARC_MM).astype(int), arcs - 1)
         sums, weights = np.zeros(arcs, complex), np.zeros(arcs)
-        _, x, y, z, heading, elevation, *_ = self.tip[min(np.searchsorted(self.tip[:, 7], 0.0), len(self.tip) - 1)]
+        _, x, y, z, heading, elevation, *_ = self.tip[min(int(np.searchsorted(self.tip[:, 7], 0.0)), len(self.tip) - 1)]
         entry = TipFrame.planar(x, y, heading).raised(elevation).moved((0.0, 0.0, z))
         points = np.full((-(-len(bends) // every), arcs + 1, 3), np.nan)
         for row, begin in enumerate(range(0, len(bends), every)):
