@@ -62,6 +62,7 @@ class Kind:
     images: bool = False
     modulus_n_mm2: float | None = None
     margin: bool = False
+    goes_on: bool = False
 
     def case(self) -> SteeringCase:
         """Return scenario and lab of the insertions."""
@@ -72,11 +73,13 @@ class Kind:
             ultrasound=PLANE if self.images else None,
             tissue=replace(found.setup.tissue, shear_modulus_n_mm2=self.modulus_n_mm2),
         )  # fmt: skip
+        push, target = NeedlePush(MODULUS_N_MM2, setup.shaft.radius_mm), scenario.target
+        force = setup.tissue.cutting_n
         if self.margin:
-            push, target = NeedlePush(MODULUS_N_MM2, setup.shaft.radius_mm), scenario.target
-            less = target.radius_mm - push.at_tip_mm(setup.tissue.cutting_n)
+            less = target.radius_mm - push.at_tip_mm(force)
             scenario = replace(scenario, target=replace(target, radius_mm=less))
-        return SteeringCase(self.name, scenario, replace(found, setup=setup))
+        beyond = push.beyond_mm(force) if self.goes_on else 0.0
+        return SteeringCase(self.name, scenario, replace(found, setup=setup), beyond_mm=beyond)
 
 
 KINDS = (
@@ -88,8 +91,9 @@ KINDS = (
             ("and both", True, True),
         )
     ),
-    Kind(PUSHED, "planned at rest", modulus_n_mm2=MODULUS_N_MM2),
-    Kind(PUSHED, "planned with `--push`", modulus_n_mm2=MODULUS_N_MM2, margin=True),
+    Kind(PUSHED, "without `--push`", modulus_n_mm2=MODULUS_N_MM2),
+    Kind(PUSHED, "`plan --push`", modulus_n_mm2=MODULUS_N_MM2, margin=True),
+    Kind(PUSHED, "`insert --push`", modulus_n_mm2=MODULUS_N_MM2, goes_on=True),
 )  # fmt: skip
 
 
@@ -132,14 +136,16 @@ def main() -> int:
     """Run the insertions and print the tables; with --json, write the results after every seed."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seeds", type=int, default=30, help="insertions of each kind (30)")
-    parser.add_argument("--tables", nargs="+", default=(NEAR, FAR, PUSHED), help="run these; keep others of the file")
+    parser.add_argument("--tables", nargs="+", default=(NEAR, FAR, PUSHED), help="run only these")
+    parser.add_argument("--names", nargs="+", help="run only the rows of these names; keep others of the file")
     parser.add_argument("--json", type=Path, metavar="FILE")
     options = parser.parse_args()
     about, known = machine.description(), []
-    if options.json and options.json.exists() and len(options.tables) < len({kind.table for kind in KINDS}):
+    chosen = [k for k in KINDS if k.table in options.tables and (not options.names or k.name in options.names)]
+    if options.json and options.json.exists() and len(chosen) < len(KINDS):
         known = json.loads(options.json.read_text(encoding="utf-8"))["rows"]
-    known = [each for each in known if each["kind"]["table"] not in options.tables]
-    trials: dict[Kind, list[SteeringTrial]] = {kind: [] for kind in KINDS if kind.table in options.tables}
+    rows = known = [each for each in known if each["kind"] not in map(asdict, chosen)]
+    trials: dict[Kind, list[SteeringTrial]] = {kind: [] for kind in chosen}
     for seed in range(options.seeds):
         for kind, done in trials.items():
             done.append(run_trial(SteeringTask(kind.case(), Guidance.REPLANNED, seed)))
@@ -147,10 +153,11 @@ def main() -> int:
         rows = [*known, *(row(kind, done) for kind, done in trials.items())]
         if options.json:
             options.json.write_text(json.dumps({"machine": about, "rows": rows}, indent=1) + "\n", encoding="utf-8")
-    order = [kind.table for kind in KINDS]
+    order = [(kind.table, kind.name) for kind in KINDS]
     print("Error at the target by the true tip, in 3D: insertions in the lab twin with equal seeds in each table.")
     print(f"{about['processor']}, {about['date'][:10]}, commit {about['commit']}, Python {about['python']}.")
-    print("\n".join(lines(sorted(rows, key=lambda each: order.index(each["kind"]["table"])))))
+    rows.sort(key=lambda each: order.index((each["kind"]["table"], each["kind"]["name"])))
+    print("\n".join(lines(rows)))
     return 0
 
 

@@ -20,12 +20,12 @@ from needleplan.cli.options import (
     grid_line,
     guide_line,
     guide_record,
-    numbers,
     require_ending,
     require_outputs,
     sign_key,
 )
 from needleplan.cli.plan_space import run_plan_space
+from needleplan.cli.push import PUSH_FORM, PUSH_HELP, read_push
 from needleplan.cli.streams import one_line
 from needleplan.cli.uncertainty import (
     add_uncertainty,
@@ -102,10 +102,8 @@ def add_to(commands: Any) -> None:
     )
     parser.add_argument(
         "--push",
-        metavar="F,G,A[,S,L]",
-        help="margin for a target that the needle pushes away: force of the tip in N, shear modulus of the tissue in "
-        "N/mm^2, radius of the needle in mm; for the push of the shaft, too, its friction in N and the length of the "
-        "path in mm",
+        metavar=PUSH_FORM,
+        help=f"margin for a target that the needle pushes away: {PUSH_HELP}",
     )
     parser.add_argument(
         "--after",
@@ -214,20 +212,7 @@ def _target_shift_mm(scenario: Scenario, options: argparse.Namespace) -> float |
     """
     if not options.push:
         return None
-    from needleplan.models.tissue import NeedlePush
-
-    force_n, modulus, radius_mm, *shaft = numbers("--push", options.push, 3, 5, form="F,G,A or F,G,A,S,L")
-    friction_n, length_mm = shaft or (0.0, math.inf)
-    rules = (("F", force_n, "N, at least 0", force_n >= 0), ("S", friction_n, "N, at least 0", friction_n >= 0),
-             ("L", length_mm, "mm above 0", length_mm > 0))  # fmt: skip
-    if wrong := [
-        Mistake(f"--push {name}", f"{value:g}", f"must be {rule}") for name, value, rule, ok in rules if not ok
-    ]:
-        raise InputError(wrong)
-    push = NeedlePush(modulus, radius_mm)
-    shift = push.at_tip_mm(force_n)
-    if shaft:
-        shift = push.shift_mm(force_n, friction_n, length_mm, ahead_mm=0.0, aside_mm=0.0)
+    shift = read_push(options.push).shift_mm
     target_mm = scenario.target.radius_mm
     if not shift < target_mm:
         rule = f"pushes the target by {shift:.2f} mm, which must be less than its radius, {target_mm:g} mm"
