@@ -3,12 +3,12 @@
 python benches/python/targeting.py --json benches/results/targeting.json > benches/results/targeting.md
 python benches/python/targeting.py --seeds 1          # short test run
 
-Closed-loop insertions of `four_obstacles` in the lab twin `steering` with the tip noise of the steering study; a seed
-gives the same needle and the same noise of the tracker in all rows of a table. Curvature sensors: 10, 30, 65 and 100 mm
-behind the tip, 2e-4 1/mm of white noise, constant errors of 1e-4 1/mm. Images in the plane of the plan: 1 mm of white
-noise along each axis, 30 % missed, 5 % outliers, 0.15 s late. Pushing: the tissue has a shear modulus of 20 kPa and
-gives way to the tip, which pushes with 0.3 N. An error is that to the moved target, and a success is a tip within the
-given radius of it.
+Closed-loop insertions of `four_obstacles` (R = 40 mm, target of 2 mm), and with a stiff needle of `phantom` (647 mm,
+0.3 mm), in the lab twin `steering` with the tip noise of the steering study; a seed gives the same needle and the same
+noise of the tracker in all rows of a table. Curvature sensors: 10, 30, 65 and 100 mm behind the tip, 2e-4 1/mm of white
+noise, constant errors of 1e-4 1/mm. Images in the plane of the plan: 1 mm of white noise along each axis, 30 % missed,
+5 % outliers, 0.15 s late. Pushing: the tissue has a shear modulus of 20 kPa and gives way to the tip, which pushes with
+0.3 N. An error is that to the moved target, and a success is a tip within the given radius of it.
 """
 
 from __future__ import annotations
@@ -40,7 +40,6 @@ from needleplan_thesis.steering import (
     steering_simulation,
 )
 
-SCENARIO = Scenario.read("four_obstacles")
 SENSORS, PLANE = FibreSensors((10.0, 30.0, 65.0, 100.0)), ImagePlane()
 ERRORS = {
     "fibre_noise_per_mm": 2e-4, "fibre_bias_per_mm": 1e-4, "ultrasound_noise_mm": 1.0, "ultrasound_missed": 0.3,
@@ -49,6 +48,7 @@ ERRORS = {
 MODULUS_N_MM2 = 0.02
 NEAR, FAR = "coil 3 mm behind the tip", "coil 30 mm behind the tip"
 PUSHED = "target that the needle pushes"
+STIFF = "stiff needle, coil 30 mm behind the tip"
 
 
 @dataclass(frozen=True)
@@ -63,10 +63,11 @@ class Kind:
     modulus_n_mm2: float | None = None
     margin: bool = False
     goes_on: bool = False
+    scenario: str = "four_obstacles"
 
     def case(self) -> SteeringCase:
         """Return scenario and lab of the insertions."""
-        found, scenario = steering_simulation(), SCENARIO
+        found, scenario = steering_simulation(), Scenario.read(self.scenario)
         effects = replace(found.setup.effects, coil_offset_mm=self.coil_mm, **ERRORS)
         setup = replace(
             found.setup, effects=effects, fibre=SENSORS if self.fibre else None,
@@ -84,8 +85,10 @@ class Kind:
 
 KINDS = (
     *(
-        Kind(table, name, coil, fibre, images)
-        for table, coil in ((NEAR, 3.0), (FAR, 30.0))
+        Kind(table, name, coil, fibre, images, scenario=scenario)
+        for table, coil, scenario in (
+            (NEAR, 3.0, "four_obstacles"), (FAR, 30.0, "four_obstacles"), (STIFF, 30.0, "phantom"),
+        )
         for name, fibre, images in (
             ("tracker", False, False), ("and curvature sensors", True, False), ("and images", False, True),
             ("and both", True, True),
@@ -100,7 +103,8 @@ KINDS = (
 def row(kind: Kind, trials: list[SteeringTrial]) -> dict[str, Any]:
     """Return the statistics of the insertions of one kind; distances (mm) are those of the true tip in 3D."""
     distances = np.array([trial.in_space_mm for trial in trials])
-    failed = [t for t in trials if t.touched or t.left or t.in_space_mm > SCENARIO.target.radius_mm]
+    radius = Scenario.read(kind.scenario).target.radius_mm
+    failed = [t for t in trials if t.touched or t.left or t.in_space_mm > radius]
     mean = bootstrap((distances,), np.mean, method="percentile", rng=1) if len(trials) > 1 else None
     interval = mean.confidence_interval if mean else (distances[0], distances[0])
     ends = Counter("an obstacle" if trial.touched else f"ended as {trial.outcome}" for trial in failed)
@@ -136,7 +140,7 @@ def main() -> int:
     """Run the insertions and print the tables; with --json, write the results after every seed."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seeds", type=int, default=30, help="insertions of each kind (30)")
-    parser.add_argument("--tables", nargs="+", default=(NEAR, FAR, PUSHED), help="run only these")
+    parser.add_argument("--tables", nargs="+", default=(NEAR, FAR, STIFF, PUSHED), help="run only these")
     parser.add_argument("--names", nargs="+", help="run only the rows of these names; keep others of the file")
     parser.add_argument("--json", type=Path, metavar="FILE")
     options = parser.parse_args()

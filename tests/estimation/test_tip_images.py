@@ -176,6 +176,8 @@ def test_wrong_use_and_wrong_planes_have_one_clear_error() -> None:
         ImagePlane(v_axis=(0.6, 0.8, 0.0))
     with pytest.raises(ModelError, match=r"u_axis.*must be of length 1"):
         ImagePlane(u_axis=(1.0, 1.0, 0.0))
+    assert ImagePlane((0.0, 0.0, 9.0)).apart_mm(np.array([[0.0, 5.0, 1.0], [0.0, 0.0, 2.0]])) == 5.0
+    assert ImagePlane().apart_mm(np.array([[0.0, 5.0, 1.9]])) == 0.0
     far = ImagePlane((0.0, 0.0, 400.0))
     with pytest.raises(SimulationError, match=r"ultrasound.origin_mm.*must be crossed by the tip: the slice is 398 mm"):
         Setup(0.01, ultrasound=far)

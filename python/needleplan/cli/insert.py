@@ -233,6 +233,7 @@ def _setup(options: argparse.Namespace, plan: InsertPlan) -> Any:
     )  # fmt: skip
 
     def made(station: Station) -> RunSetup:
+        _note_slice(plan, station)
         lab = station if isinstance(station, SimulatedStation) else None
         length = options.needle_length or (lab.needle_length_mm if lab else how.needle_length_mm)
         since = lab.exhaled_s if lab else _clock_time(options.exhaled_at, station) if options.exhaled_at else 0.0
@@ -247,6 +248,18 @@ def _setup(options: argparse.Namespace, plan: InsertPlan) -> Any:
         return RunSetup(complete, limits, placed, settings, accepted, station.fibre, station.plane)
 
     return made
+
+
+def _note_slice(plan: InsertPlan, station: Station) -> None:
+    """Print a warning if the planned path does not come into the slice of the ultrasound probe of a station."""
+    if station.plane is None:
+        return
+    import numpy as np
+
+    points = plan.table.path(plan.start).points_mm
+    apart = station.plane.apart_mm(np.pad(points, ((0, 0), (0, 3 - points.shape[1]))))
+    if apart:
+        note(f"warning: no image will show the tip: the planned path stays {apart:.3g} mm beside the slice")
 
 
 def _gate(options: argparse.Namespace, plan: InsertPlan) -> BreathGate | None:
