@@ -95,6 +95,7 @@ def test_a_target_that_is_pushed_away_gets_a_margin(scenario_file: Path, tmp_pat
     refused(needleplan("plan", scenario_file, "--push", "5,0.02,0.5"), "--push", "must be less than its radius")
     refused(needleplan("plan", scenario_file, "--push", "5,0.02"), "--push", "F,G,A or F,G,A,S,L: numbers")
     refused(needleplan("plan", scenario_file, "--push", "-1,0.02,0.5,0.1,0"), "--push F = -1", "--push L = 0")
+    refused(needleplan("plan", scenario_file, "--push", "0.1,20,0.5"), "--push G = 20", "1 kPa is 0.001 N/mm^2")
 
 
 def test_the_friction_of_the_shaft_widens_the_margin(scenario_file: Path) -> None:

@@ -13,6 +13,9 @@ if TYPE_CHECKING:
 
 __all__ = ["PUSH_FORM", "PUSH_HELP", "Push", "read_push"]
 
+# Largest plausible shear modulus (N/mm^2) of soft tissue: 1 MPa, above that of cartilage. A larger one is in kPa.
+_STIFFEST_N_MM2 = 1.0
+
 PUSH_FORM = "F,G,A[,S,L]"
 """Form of the value of `--push`."""
 
@@ -50,7 +53,8 @@ def read_push(text: str) -> Push:
     force_n, modulus, radius_mm, *shaft = numbers("--push", text, 3, 5, form="F,G,A or F,G,A,S,L")
     friction_n, length_mm = shaft or (0.0, math.inf)
     rules = (("F", force_n, "N, at least 0", force_n >= 0), ("S", friction_n, "N, at least 0", friction_n >= 0),
-             ("L", length_mm, "mm above 0", length_mm > 0))  # fmt: skip
+             ("L", length_mm, "mm above 0", length_mm > 0),
+             ("G", modulus, "that of soft tissue: 1 kPa is 0.001 N/mm^2", modulus <= _STIFFEST_N_MM2))  # fmt: skip
     wrong = [Mistake(f"--push {name}", f"{value:g}", f"must be {rule}") for name, value, rule, ok in rules if not ok]
     if wrong:
         raise InputError(wrong)

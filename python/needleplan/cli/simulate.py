@@ -62,6 +62,9 @@ def run(options: argparse.Namespace) -> int:
             write_records([each.record() for each in runs], options.output)
     if options.output:
         note(f"wrote {options.output}")
+    for done in runs:
+        if done.images and not _summary(done)["images_with_tip"]:
+            note(f"warning: seed {done.seed}: no image has the tip; no move brings it into the slice of [ultrasound]")
     if options.json:
         print_json(
             {"title": simulation.title, "digest": simulation.digest, "output": options.output,
@@ -82,8 +85,7 @@ def _lines(done: Run, title: str) -> Iterator[str]:
     yield f"  force        at most {found['largest_force_n']:.3g} N"
     yield f"  tracker      {found['missing_frames']} of {len(done.poses)} frames missing"
     if done.images:
-        never = "" if found["images_with_tip"] else ": no move brings the tip into the slice of [ultrasound]"
-        yield f"  ultrasound   the tip is in {found['images_with_tip']} of {len(done.images)} images{never}"
+        yield f"  ultrasound   the tip is in {found['images_with_tip']} of {len(done.images)} images"
 
 
 def _require(options: argparse.Namespace) -> None:
