@@ -54,6 +54,11 @@ PAGES = {
         "How often an interval of 95 % holds the true value, in simulations with known truth.",
         (("trials", ()), ("fit_intervals", ()), ("curvature", ()), ("predicted_tip", ())),
     ),
+    "targeting": (
+        "Targeting with sensors",
+        "Error at the target by the true tip, with curvature sensors and images beside the tracker alone, and time.",
+        (("targeting", ()), ("tip_fibre", ()), ("sensor_times", ())),
+    ),
     "real": (
         "Recordings of others",
         "Models and filters on recordings that other laboratories have published.",

@@ -93,7 +93,16 @@ def test_a_target_that_is_pushed_away_gets_a_margin(scenario_file: Path, tmp_pat
     planned = npl.PolicyTable.read(tmp_path / "table.h5").scenario.target.radius_mm
     assert planned == pytest.approx(Scenario.read(scenario_file).target.radius_mm - shift)
     refused(needleplan("plan", scenario_file, "--push", "5,0.02,0.5"), "--push", "must be less than its radius")
-    refused(needleplan("plan", scenario_file, "--push", "5,0.02"), "--push", "3 numbers")
+    refused(needleplan("plan", scenario_file, "--push", "5,0.02"), "--push", "F,G,A or F,G,A,S,L: numbers")
+    refused(needleplan("plan", scenario_file, "--push", "-1,0.02,0.5,0.1,0"), "--push F = -1", "--push L = 0")
+    refused(needleplan("plan", scenario_file, "--push", "0.1,20,0.5"), "--push G = 20", "1 kPa is 0.001 N/mm^2")
+
+
+def test_the_friction_of_the_shaft_widens_the_margin(scenario_file: Path) -> None:
+    done = needleplan("plan", scenario_file, "--push", "0.1,0.02,0.5,0.2,60", "--json")
+    shift = NeedlePush(0.02, 0.5).shift_mm(0.1, 0.2, 60.0, ahead_mm=0.0, aside_mm=0.0)
+    assert json.loads(done.stdout)["target_shift_mm"] == pytest.approx(shift)
+    assert shift > 1.05 * NeedlePush(0.02, 0.5).at_tip_mm(0.1)
 
 
 def test_success_without_a_proof_is_said_aloud(tmp_path: Path) -> None:

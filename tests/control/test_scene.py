@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
+
+import pytest
 
 import needleplan as npl
 from needleplan.control import ScenarioGeometry
@@ -20,3 +23,13 @@ def test_beside_an_obstacle_there_is_a_decision_all_the_same() -> None:
     assert scene.touches(31, 20)
     assert table.lookup(x, y, 0.0, 1, nearest=True).success == 0
     assert table.lookup(x, y, 0.0, 1).success > 0.5
+
+
+def test_a_target_that_is_pushed_ahead_moves_along_the_heading() -> None:
+    scene = ScenarioGeometry(FOUR)
+    x, y = FOUR.target.center_mm
+    pushed = scene.pushed(math.pi / 2, 1.5)
+    assert pushed.target_distance_mm(x, y + 1.5) == pytest.approx(0.0, abs=1e-12)
+    along, distance = pushed.closest(x, y - 1.0, math.pi / 2, 0.0, 4.0)
+    assert (along, distance) == (pytest.approx(2.5), pytest.approx(0.0, abs=1e-12))
+    assert scene.target_distance_mm(x, y) == 0.0

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from needleplan.cli.diagnose import _ALONG_NEEDLE
+from needleplan.cli.diagnose import _SENSORS
 from needleplan.diagnosis import Library, diagnose
 from needleplan.diagnosis._along_needle import curvature_remarks
-from needleplan.models import ModelFile, SpatialBicycle
+from needleplan.models import ModelFile, ShaftAndTip, SpatialBicycle
 from needleplan.models.deflection import FibreSensors
 from needleplan.models.effects import effect_named
 from needleplan.signals import Array, Record, Role
@@ -42,14 +42,25 @@ def test_sensors_of_a_needle_as_modelled_agree_also_after_a_rotation() -> None:
     (remark,) = curvature_remarks(BASE, trials(BASE.curvature_per_mm), SENSORS)
     assert "2 sensors agree with the model" in remark
     assert list(curvature_remarks(BASE, recordings(), SENSORS)) == []
-    assert list(curvature_remarks(BASE, trials(0.005), None)) == []
+
+
+def test_columns_that_are_not_compared_have_one_remark() -> None:
+    (unused,) = curvature_remarks(BASE, trials(0.005), None)
+    assert unused.endswith("are not used, because the model file has no [fibre]")
+    force = ShaftAndTip(friction=0.01, cutting=0.3, onset_mm=2.0, presliding_mm=0.1)
+    (unused,) = curvature_remarks(force, trials(0.005), SENSORS)
+    assert unused.endswith("because the model has no path of the tip in 3D")
+    images = [record.with_column("image_u_mm", record["time_s"]) for record in recordings()]
+    (unused,) = curvature_remarks(BASE, images, None)
+    assert unused.startswith("tip in images: image_u_mm and image_v_mm are not used")
+    assert all(each.startswith(_SENSORS) for each in (unused,))
 
 
 def test_a_needle_that_bends_more_than_its_tip_tells_is_named_by_its_sensors() -> None:
     remarks = list(curvature_remarks(SpatialBicycle(0.004), trials(0.005), SENSORS))
     assert [each.split(" mm behind")[0].split()[-1] for each in remarks] == ["5", "20"]
     assert all("differs from the model by +1 1/m toward the bevel" in each for each in remarks)
-    assert all(each.startswith(_ALONG_NEEDLE) for each in remarks)  # the command prints them without --verbose
+    assert all(each.startswith(_SENSORS) for each in remarks)  # the command prints them without --verbose
 
 
 @pytest.mark.slow

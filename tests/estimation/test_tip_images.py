@@ -14,7 +14,7 @@ from needleplan.errors import DataError, ModelError, SimulationError
 from needleplan.estimation import PoseUse, Registration, TipFilter, TipSettings
 from needleplan.models.deflection import FibreSensors
 from needleplan.models.path import ImagePlane
-from needleplan.simulation import Effects, Lab, Setup, SimulatedEntry
+from needleplan.simulation import Effects, Lab, Robot, Setup, SimulatedEntry
 from tests.estimation.needle_walk import STEP_MM, Walk, stage
 
 RADIUS_MM, SPEED_MM_S, COIL_MM = 120.0, 12.0, 9.3
@@ -79,6 +79,32 @@ def _heard(twin: Lab, filters: dict[tuple[bool, ...], TipFilter]) -> None:
                 tip.update_fibre(fibre)
             for image in images * seen:
                 tip.update_image(image)
+
+
+def test_a_prediction_that_goes_on_from_the_one_before_equals_a_new_one() -> None:
+    tip = TipFilter(Registration(coil_offset_mm=25.0), (0.0, 0.0, 0.0), 1 / RADIUS_MM, SETTINGS, SENSORS, PLANE)
+    setup = Setup(
+        1 / RADIUS_MM, SimulatedEntry(depth_mm=-2.0), robot=Robot(servo_hz=200), effects=EFFECTS, fibre=SENSORS,
+        ultrasound=PLANE,
+    )  # fmt: skip
+    with Lab(setup, 4) as twin:
+        for depth, roll in ((18.0, 3.0), (40.0, 3.2), (30.0, 6.0), (42.0, None)):
+            twin.stage.insert(depth, SPEED_MM_S)
+            if roll is not None:
+                twin.stage.rotate(roll, 1.0)  # while the needle advances
+            for _ in range(12):
+                twin.advance(0.15)
+                *_, sample = twin.stage.waiting()
+                tip.predict(sample)
+                for measured, use in ((twin.tracker, tip.update), (twin.fibre, tip.update_fibre)):
+                    for each in measured.waiting():
+                        use(each)
+                for image in twin.ultrasound.waiting():
+                    tip.update_image(image)
+                went_on = tip.tip_state()
+                tip._predictor.forget()
+                for one, other in zip(went_on, tip.tip_state(), strict=True):
+                    assert np.array_equal(one, other)
 
 
 def _consistent(runs: int, level: float) -> None:
@@ -150,6 +176,8 @@ def test_wrong_use_and_wrong_planes_have_one_clear_error() -> None:
         ImagePlane(v_axis=(0.6, 0.8, 0.0))
     with pytest.raises(ModelError, match=r"u_axis.*must be of length 1"):
         ImagePlane(u_axis=(1.0, 1.0, 0.0))
+    assert ImagePlane((0.0, 0.0, 9.0)).apart_mm(np.array([[0.0, 5.0, 1.0], [0.0, 0.0, 2.0]])) == 5.0
+    assert ImagePlane().apart_mm(np.array([[0.0, 5.0, 1.9]])) == 0.0
     far = ImagePlane((0.0, 0.0, 400.0))
     with pytest.raises(SimulationError, match=r"ultrasound.origin_mm.*must be crossed by the tip: the slice is 398 mm"):
         Setup(0.01, ultrasound=far)

@@ -12,6 +12,7 @@ from needleplan.errors import DataError
 from needleplan.identification import predict_end
 from needleplan.models import arc_step
 from needleplan.models.deflection import FibreSensors
+from needleplan.models.path import ImagePlane
 from needleplan.recording import write_records
 from needleplan.signals import FrameName, Record, RecordFrame
 from tests.cli.commands import needleplan, refused
@@ -148,5 +149,33 @@ def test_curvature_sensors_continue_a_path_whose_tracker_is_lost() -> None:
     alone, together = (predict_end(begun, earlier, depth_mm=95, fibre=each) for each in (None, sensors))
     assert abs(together.y_mm - true) < 0.5 < abs(alone.y_mm - true)
     assert (alone.until_mm, together.until_mm) == pytest.approx((20, 80), abs=0.5)
-    with pytest.raises(DataError, match="fbg1_y_per_mm: is missing"):
+    with pytest.raises(DataError, match="fbg1_y_per_mm: is missing or empty"):
         predict_end(insertion("a", 0.001, 0.0, seed=1), earlier, fibre=sensors)
+
+
+def test_images_continue_a_path_whose_tracker_is_lost(tmp_path: Path) -> None:
+    plane = ImagePlane(origin_mm=(20.0, -5.0, 0.0))
+
+    def trial(curvature: float, seed: int, until_mm: float = 100.0, lost_mm: float = 100.0) -> Record:
+        random, depth = np.random.default_rng(seed), np.arange(0.0, until_mm, 1.0)
+        y = curvature * depth**2 / 2
+        measured = np.where(depth < lost_mm, y + random.normal(0, 0.1, depth.size), np.nan)
+        there = np.arange(depth.size) % 2 == 0
+        u, v = (np.where(there, true + random.normal(0, 0.5, depth.size), np.nan) for true in (depth - 20, y + 5))
+        columns = {"time_s": depth / 5, "x_mm": depth, "depth_mm": depth, "y_mm": measured}
+        return Record(columns | {"image_u_mm": u, "image_v_mm": v}, f"of {curvature}")
+
+    earlier = [trial(each, seed) for seed, each in enumerate((0.0010, 0.0012, 0.0009))]
+    begun, true = trial(0.0016, 9, 80.0, 20.0), 0.0016 * 95**2 / 2
+    alone, together = (predict_end(begun, earlier, depth_mm=95, plane=each) for each in (None, plane))
+    assert abs(together.y_mm - true) < 0.5 * abs(alone.y_mm - true)
+    assert together.until_mm == pytest.approx(78, abs=1)
+    write_records(earlier, tmp_path / "earlier.csv")
+    write_records([begun], tmp_path / "now.csv")
+    words = ("predict", "now.csv", "--earlier", "earlier.csv", "--depth", "95")
+    place = "20,-5,0,1,0,0,0,1,0"
+    answer = json.loads(needleplan(*words, "--image-plane", place, "--json", cwd=tmp_path).stdout)
+    assert answer["y_mm"] == pytest.approx(together.y_mm, abs=1e-3)
+    refused(needleplan(*words, "--image-plane", "20,-5,0", cwd=tmp_path), "--image-plane")
+    refused(needleplan(*words, "--image-plane", place[:-5] + "1,0,0", cwd=tmp_path), "right angle")
+    refused(needleplan(*words, "--image-delay", "0.1", cwd=tmp_path), "--image-delay", "with --image-plane")

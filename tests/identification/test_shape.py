@@ -83,6 +83,19 @@ def test_a_sensor_that_no_insertion_brings_into_the_tissue_is_named() -> None:
     assert "the sensor 900 mm from the tip is not in the tissue in any trial, and was not used" in found.remarks
 
 
+def test_a_sensor_that_drifts_is_named_by_its_readings_outside_of_the_tissue() -> None:
+    depth = np.linspace(-2.0, 120.0, 245)
+    inside = (depth[:, None] > PLACES)[:, :, None]
+    curvature = np.where(inside, TRUTH.curvatures([120.0], PLACES), 0.0)
+    trial = record(curvature, 120.0).with_column("depth_mm", depth)
+    assert not any("outside of the tissue" in each for each in identify([trial], fibre=SENSORS).remarks)
+    warm = curvature.copy()
+    warm[:, 2, 0] += np.linspace(0, 2e-3, len(depth))
+    found = identify([record(warm, 120.0).with_column("depth_mm", depth)], fibre=SENSORS)
+    (remark,) = (each for each in found.remarks if "outside of the tissue" in each)
+    assert remark.startswith("the sensor 70 mm from the tip measures")
+
+
 def test_the_command_writes_a_model_with_its_sensors(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     write_records([insertion(seed) for seed in range(2)], "shape.csv")

@@ -19,8 +19,8 @@ if TYPE_CHECKING:
 
 __all__ = ["add_to", "run"]
 
-# Begin of the remarks that compare curvature sensors with the model; they are printed without --verbose, too.
-_ALONG_NEEDLE = "curvature along the needle:"
+# Beginnings of remarks on sensors along the needle and images, which are printed without --verbose, too.
+_SENSORS = ("curvature along the needle:", "tip in images:")
 
 
 def add_to(commands: Any) -> None:
@@ -121,7 +121,7 @@ def run(options: argparse.Namespace) -> int:
     if not options.json:
         print_first(options, lines)
         for remark in found.remarks if not options.verbose else ():
-            if remark.startswith(_ALONG_NEEDLE):
+            if remark.startswith(_SENSORS):
                 note(remark)
         if scenario:
             print("\n".join(corrected_plan_lines(found, what)))

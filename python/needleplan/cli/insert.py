@@ -25,6 +25,7 @@ from needleplan.cli.options import (
     safety_limits,
 )
 from needleplan.cli.parser import Parser
+from needleplan.cli.push import read_push
 from needleplan.cli.realtime import require_prompt
 from needleplan.errors import AddressError, DeviceFault, InputError, Mistake, OutputError
 
@@ -220,16 +221,20 @@ def _setup(options: argparse.Namespace, plan: InsertPlan) -> Any:
         raise InputError(Mistake("--force-axis", options.force_axis, "must be a direction other than 0,0,0"))
     _require_numbers(options, limits)
     gate = _gate(options, plan)
+    beyond = read_push(options.push).beyond_mm if options.push else 0.0
+    if beyond:
+        note(f"target: pushed ahead; the tip goes on by {beyond:.2f} mm")
     how = Options(
         velocity_mm_s=options.speed, velocity_rad_s=math.radians(options.rotation_speed_deg),
         entry_depth_mm=options.entry_depth, homed_by=options.homed_by,
         roll_left_rad=math.radians(options.roll_left_deg),
         longest_mm=limits.deepest_mm - options.entry_depth, torsion=torsion,
         stops=options.stops, replan=not options.no_replan, force_axis=(x / length, y / length, z / length),
-        expected_start=plan.expected_start,
+        expected_start=plan.expected_start, beyond_mm=beyond,
     )  # fmt: skip
 
     def made(station: Station) -> RunSetup:
+        _note_slice(plan, station)
         lab = station if isinstance(station, SimulatedStation) else None
         length = options.needle_length or (lab.needle_length_mm if lab else how.needle_length_mm)
         since = lab.exhaled_s if lab else _clock_time(options.exhaled_at, station) if options.exhaled_at else 0.0
@@ -244,6 +249,18 @@ def _setup(options: argparse.Namespace, plan: InsertPlan) -> Any:
         return RunSetup(complete, limits, placed, settings, accepted, station.fibre, station.plane)
 
     return made
+
+
+def _note_slice(plan: InsertPlan, station: Station) -> None:
+    """Print a warning if the planned path does not come into the slice of the ultrasound probe of a station."""
+    if station.plane is None:
+        return
+    import numpy as np
+
+    points = plan.table.path(plan.start).points_mm
+    apart = station.plane.apart_mm(np.pad(points, ((0, 0), (0, 3 - points.shape[1]))))
+    if apart:
+        note(f"warning: no image will show the tip: the planned path stays {apart:.3g} mm beside the slice")
 
 
 def _gate(options: argparse.Namespace, plan: InsertPlan) -> BreathGate | None:

@@ -8,6 +8,7 @@ import math
 from needleplan.cli.estop import add_estop
 from needleplan.cli.options import add_answer, add_figure, add_limits, add_output, add_start
 from needleplan.cli.parser import Parser
+from needleplan.cli.push import PUSH_FORM, PUSH_HELP
 from needleplan.cli.uncertainty import add_uncertainty
 
 __all__ = ["add_insert_options"]
@@ -115,6 +116,11 @@ def _add_mechanics(group: argparse._ArgumentGroup) -> None:
         "--torsion", metavar="GJ,TAU",
         help="compensate the torsional lag of the tip: rigidity in N mm^2 and friction in N mm/mm",
     )  # fmt: skip
+    group.add_argument(
+        "--push",
+        metavar=PUSH_FORM,
+        help=f"in the plane: go on as far as the needle pushes the target ahead: {PUSH_HELP}",
+    )
     group.add_argument(
         "--needle-length", type=float, metavar="MM", help="length of the shaft, mm, for the torsion (default: 200)"
     )

@@ -20,13 +20,13 @@ from needleplan.cli.options import (
     grid_line,
     guide_line,
     guide_record,
-    numbers,
     require_ending,
     require_outputs,
     sign_key,
 )
 from needleplan.cli.parser import Parser
 from needleplan.cli.plan_space import run_plan_space
+from needleplan.cli.push import PUSH_FORM, PUSH_HELP, read_push
 from needleplan.cli.streams import one_line
 from needleplan.cli.uncertainty import (
     add_uncertainty,
@@ -105,9 +105,8 @@ def add_to(commands: Any) -> None:
     )
     parser.add_argument(
         "--push",
-        metavar="F,G,A",
-        help="margin for a target that the needle pushes away: force of the tip in N, shear modulus of the tissue in "
-        "N/mm^2, radius of the needle in mm",
+        metavar=PUSH_FORM,
+        help=f"margin for a target that the needle pushes away: {PUSH_HELP}",
     )
     parser.add_argument(
         "--after",
@@ -209,17 +208,14 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _target_shift_mm(scenario: Scenario, options: argparse.Namespace) -> float | None:
-    """Return the largest displacement (mm) of the target by the push of the tip, or None without `--push`.
+    """Return the displacement (mm) of a target that the tip reaches, by tip and shaft, or None without `--push`.
 
     A tip that comes within the radius less this displacement of the planned centre is in the target, however far the
     target has been pushed. Raises InputError for wrong numbers, and if nothing of the radius is left.
     """
     if not options.push:
         return None
-    from needleplan.models.tissue import NeedlePush
-
-    force_n, modulus, radius_mm = numbers("--push", options.push, 3)
-    shift = abs(NeedlePush(modulus, radius_mm).at_tip_mm(force_n))
+    shift = read_push(options.push).shift_mm
     target_mm = scenario.target.radius_mm
     if not shift < target_mm:
         rule = f"pushes the target by {shift:.2f} mm, which must be less than its radius, {target_mm:g} mm"

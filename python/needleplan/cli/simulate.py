@@ -62,6 +62,9 @@ def run(options: argparse.Namespace) -> int:
             write_records([each.record() for each in runs], options.output)
     if options.output:
         note(f"wrote {options.output}")
+    for done in runs:
+        if done.images and not _summary(done)["images_with_tip"]:
+            note(f"warning: seed {done.seed}: no image has the tip; no move brings it into the slice of [ultrasound]")
     if options.json:
         print_json(
             {"title": simulation.title, "digest": simulation.digest, "output": options.output,
@@ -81,6 +84,8 @@ def _lines(done: Run, title: str) -> Iterator[str]:
     yield f"  tip          x {x:.2f} mm, y {y:.2f} mm, z {z:.2f} mm"
     yield f"  force        at most {found['largest_force_n']:.3g} N"
     yield f"  tracker      {found['missing_frames']} of {len(done.poses)} frames missing"
+    if done.images:
+        yield f"  ultrasound   the tip is in {found['images_with_tip']} of {len(done.images)} images"
 
 
 def _require(options: argparse.Namespace) -> None:
@@ -108,4 +113,5 @@ def _summary(done: Run) -> dict[str, Any]:
         "tip_mm": list(done.tip.position_mm),
         "largest_force_n": max(forces, default=0.0),
         "missing_frames": sum(pose.health is Health.MISSING for pose in done.poses),
+        "images_with_tip": sum(image.health is not Health.MISSING for image in done.images),
     }

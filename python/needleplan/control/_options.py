@@ -115,6 +115,10 @@ class Options:
     ends the run, unless its cause has already gone. A fault always ends the run. A pause or a retraction that a person
     orders has no time limit: only a person resumes the run."""
 
+    beyond_mm: float = 0.0
+    """In the plane: length (mm) by which the tip goes on beyond the place of a target at rest, because the push of the
+    needle moves the target ahead (`NeedlePush.beyond_mm`)."""
+
     gate: BreathGate | None = None
     """In 3D: when the needle may advance, by breathing; None: at any time."""
 
@@ -132,7 +136,7 @@ class Options:
             value = getattr(self, option.name)
             if option.name not in _POSITIVE and isinstance(value, float) and not math.isfinite(value):
                 mistakes.append(Mistake(option.name, f"{value:g}", "must be a finite number"))
-        for name in ("lead_s", "replan_share", "resume_s", "roll_tolerance_rad", "settling_frames"):
+        for name in ("lead_s", "replan_share", "resume_s", "roll_tolerance_rad", "settling_frames", "beyond_mm"):
             if getattr(self, name) < 0:
                 mistakes.append(Mistake(name, f"{getattr(self, name):g}", "must be at least 0"))
         if not 1 <= self.decisions_per_step <= 100:

@@ -67,7 +67,7 @@ class PlaneGuidance(PlanGuidance):
 
     def choose(self, needle: NeedleState, left_mm: float, room_mm: float) -> StepChoice:
         """Return the decision for the pose at the end of the present insertion."""
-        tip, scene, options = needle.tip, self.scene, self._options
+        tip, scene, options = needle.tip, self._scene_at(needle.tip), self._options
         pose = self._pose_after(needle, left_mm)
         approach = Approach(scene, in_plane_per_mm(tip))
         inside, outside = approach.inside(pose), scene.outside(pose.x_mm, pose.y_mm)
@@ -106,6 +106,11 @@ class PlaneGuidance(PlanGuidance):
             segments=segments, last=last,
         )  # fmt: skip
 
+    def _scene_at(self, tip: TipEstimate) -> ScenarioGeometry:
+        """Return the geometry with the target where the push of the needle moves it when the tip arrives as it is."""
+        beyond = self._options.beyond_mm
+        return self.scene.pushed(tip.heading_rad, beyond) if beyond else self.scene
+
     def outside(self, position_mm: Sequence[float]) -> bool:
         """Return whether a position is more than half a cell outside of the workspace."""
         return self.scene.outside(position_mm[0], position_mm[1])
@@ -136,7 +141,7 @@ class PlaneGuidance(PlanGuidance):
         target = self._table.scenario.target
         if tip is None:
             return TipErrors(target.radius_mm)
-        aside = math.dist((tip.x_mm, tip.y_mm), target.center_mm)
+        aside = self._scene_at(tip).target_distance_mm(tip.x_mm, tip.y_mm)
         in_space = math.hypot(aside, tip.z_mm)
         beyond = max(in_space - target.radius_mm, 0.0)
         return TipErrors(target.radius_mm, aside, in_space, beyond, abs(tip.z_mm))
@@ -144,7 +149,7 @@ class PlaneGuidance(PlanGuidance):
     def _arrived(self, pose: Pose, tip: TipEstimate) -> RunEnd:
         """Return outcome and cause for a tip that is at its nearest to the target, which is a ball."""
         aside, target = tip.z_mm, self.scene.scenario.target
-        distance = math.hypot(self.scene.target_distance_mm(pose.x_mm, pose.y_mm), aside)
+        distance = math.hypot(self._scene_at(tip).target_distance_mm(pose.x_mm, pose.y_mm), aside)
         outcome = InsertionOutcome.TARGET if distance <= target.radius_mm else InsertionOutcome.MISSED
         place = f"the tip is {distance:.2f} mm from the centre of the target"
         return outcome, f"{place}, {abs(aside):.2f} mm of it out of the plane"

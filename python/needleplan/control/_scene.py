@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
+from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Self
 
 import numpy as np
 
@@ -33,7 +34,29 @@ class ScenarioGeometry:
 
     def __init__(self, scenario: Scenario) -> None:
         self.scenario = scenario
+        self.center_mm: tuple[float, ...] = scenario.target.center_mm
+        """Centre of the target."""
+
         self._uniform = scenario.uniform
+
+    def pushed(self, heading_rad: float, length_mm: float) -> Self:
+        """Return the geometry with the target moved along a heading.
+
+        Parameters
+        ----------
+        heading_rad : float
+            Heading (rad).
+        length_mm : float
+            Length (mm) by which the centre of the target moves.
+
+        Returns
+        -------
+        ScenarioGeometry
+        """
+        x, y = self.center_mm
+        moved = copy(self)
+        moved.center_mm = (x + length_mm * math.cos(heading_rad), y + length_mm * math.sin(heading_rad))
+        return moved
 
     def radius_mm(self, x_mm: float, y_mm: float) -> float:
         """Return the planned radius of curvature of an arc that starts at a point.
@@ -135,7 +158,7 @@ class ScenarioGeometry:
         float
             Distance (mm).
         """
-        x, y = self.scenario.target.center_mm
+        x, y = self.center_mm
         return math.hypot(x_mm - x, y_mm - y)
 
     def closest(
@@ -161,7 +184,7 @@ class ScenarioGeometry:
         """
         lengths = np.linspace(0.0, length_mm, max(int(length_mm / _SAMPLE_MM), 1) + 1)
         x, y, _ = arc_step(x_mm, y_mm, heading_rad, curvature_per_mm, lengths)
-        target_x, target_y = self.scenario.target.center_mm
+        target_x, target_y = self.center_mm
         distances = np.hypot(x - target_x, y - target_y)
         at = int(distances.argmin())
         return float(lengths[at]), float(distances[at])

@@ -9,7 +9,7 @@ import numpy as np
 from needleplan.models import Model, SteeredModel, simulate
 from needleplan.models.deflection import FibreSensors
 from needleplan.models.effects import AugmentedModel
-from needleplan.signals import FIBRE_COLUMNS, Array, Record, Role
+from needleplan.signals import FIBRE_COLUMNS, IMAGE_COLUMNS, Array, Record, Role
 
 __all__ = ["curvature_remarks"]
 
@@ -22,14 +22,21 @@ _CLEAR = 3.0
 def curvature_remarks(model: Model, records: Sequence[Record], fibre: FibreSensors | None) -> Iterator[str]:
     """Yield a remark for each sensor that contradicts the model, or one that all agree; none without their columns.
 
-    Neighbouring readings share the tissue, so a mean counts one reading for each gauge length of path.
+    One remark each names columns of sensors and of images that are there and are not compared. Neighbouring readings
+    share the tissue, so a mean counts one reading for each gauge length of path.
     """
     plant = model.plant if isinstance(model, AugmentedModel) else model
     plant = plant.whole if isinstance(plant, AugmentedModel) else plant
     sensed = [
         record for record in records if record.role is not Role.NOISE and set(FIBRE_COLUMNS) & set(record.columns)
     ]
-    if fibre is None or not sensed or not isinstance(plant, SteeredModel):
+    if any(set(IMAGE_COLUMNS) & set(record.columns) for record in records):
+        yield f"tip in images: {' and '.join(IMAGE_COLUMNS)} are not used; a diagnosis compares x_mm, y_mm and z_mm"
+    if not sensed:
+        return
+    if fibre is None or not isinstance(plant, SteeredModel):
+        lacks = "the model file has no [fibre]" if fibre is None else "the model has no path of the tip in 3D"
+        yield f"curvature along the needle: {FIBRE_COLUMNS[0]} and so on are not used, because {lacks}"
         return
     off, lengths = zip(*(_differences(plant, record, fibre) for record in sensed), strict=True)
     every, count = np.concatenate(off), np.maximum(np.sum(lengths, axis=0) / fibre.gauge_mm, 1.0)

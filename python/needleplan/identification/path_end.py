@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from needleplan.artifacts import short_html, short_repr
-from needleplan.devices import FibreSample, PoseSample, StageSample, Stamp
+from needleplan.devices import FibreSample, ImageSample, PoseSample, StageSample, Stamp
 from needleplan.errors import DataError, Mistake
 from needleplan.estimation import Registration, TipFilter, TipSettings
 from needleplan.identification._curvature_trial import insertion_of
@@ -35,7 +35,8 @@ from needleplan.identification._series_order import in_order, require_different
 from needleplan.identification._shape_choice import shaped_paths
 from needleplan.identification.population import deviation_mm, next_insertion
 from needleplan.models.deflection import FibreSensors
-from needleplan.signals import Array, Record, Role, records_of, require_one_frame
+from needleplan.models.path import ImagePlane
+from needleplan.signals import IMAGE_COLUMNS, Array, Record, Role, records_of, require_one_frame
 
 __all__ = ["PredictedEnd", "predict_end"]
 
@@ -46,6 +47,25 @@ _UNKNOWN_RAD = 2.0
 _AT_END_MM = 2.0
 
 _NANO = 1e9
+
+
+@dataclass(frozen=True)
+class _Sensors:
+    """Curvature sensors, image plane and age (s) of an image when it arrives; None: their columns are not used."""
+
+    fibre: FibreSensors | None = None
+    plane: ImagePlane | None = None
+    image_latency_s: float = 0.0
+
+    def curvatures(self, record: Record) -> Array:
+        """Return the curvatures (1/mm) of a record, shape (samples, sensors, 2); no sensors without `fibre`."""
+        return self.fibre.measured(record) if self.fibre else np.empty((len(record), 0, 2))
+
+    def places(self, record: Record) -> Array:
+        """Return the positions (mm) of the tip in images, shape (samples, 2); NaN without `plane`."""
+        if self.plane is None:
+            return np.full((len(record), 2), np.nan)
+        return np.stack([record[name] for name in IMAGE_COLUMNS], axis=1)
 
 
 @dataclass(frozen=True)
@@ -129,6 +149,8 @@ def predict_end(
     skip_mm: float = 0.0,
     layers: int | None = None,
     fibre: FibreSensors | None = None,
+    plane: ImagePlane | None = None,
+    image_latency_s: float = 0.0,
 ) -> PredictedEnd:
     """Predict the end of an insertion without rotation from its beginning and from earlier insertions.
 
@@ -149,6 +171,10 @@ def predict_end(
     fibre : FibreSensors, optional
         Curvature sensors of the needle, whose columns all records have; they continue the path where the position of
         the tip is missing.
+    plane : ImagePlane, optional
+        Image plane of an ultrasound probe in the frame of the records, all of which have the columns of its images.
+    image_latency_s : float
+        Age of an image when it arrives.
 
     Returns
     -------
@@ -189,7 +215,8 @@ def predict_end(
     remarks += [*frame_remarks(fitted[0]), *odd_remarks(fitted[0])]
     planes = [shaped_paths(plane, layers).paths for plane in fitted]
     end = min(path.deepest_mm for path in planes[0]) if depth_mm is None else depth_mm
-    used = _used(record, skip_mm, np.inf if until_mm is None else until_mm, fibre)
+    sensors = _Sensors(fibre, plane, image_latency_s)
+    used = _used(record, skip_mm, np.inf if until_mm is None else until_mm, sensors)
     if not used.size:
         raise DataError(
             Mistake("depth_mm", "", "has no sample with a position between skip_mm and until_mm"), record.trial
@@ -198,10 +225,10 @@ def predict_end(
     if until >= end:
         rule = f"has passed the end at {end:.4g} mm; until_mm leaves samples out"
         raise DataError(Mistake("depth_mm", f"{until:.4g}", rule), record.trial)
-    errors = [_error(planes, number, trial, end, until, skip_mm, fibre) for number, trial in enumerate(trials)]
+    errors = [_error(planes, number, trial, end, until, skip_mm, sensors) for number, trial in enumerate(trials)]
     known = np.array([error for error in errors if error is not None]).reshape(-1, len(planes))
     error = next_insertion(known, deviation_mm(end - until), level_sd=1.0, ordered=False)
-    place = _predicted(planes, record, used, end, fibre)
+    place = _predicted(planes, record, used, end, sensors)
     (y, *z), (side, *second) = (place + error.values).tolist(), error.moved(place).regions
     return PredictedEnd(
         end, y, side, z[0] if in_space else None, second[0] if in_space else None,
@@ -217,25 +244,24 @@ def _error(
     end_mm: float,
     until_mm: float,
     skip_mm: float,
-    fibre: FibreSensors | None,
+    sensors: _Sensors,
 ) -> Array | None:
     """Return the measured minus the predicted end (mm) of an earlier insertion, predicted from the others.
 
     None if there is no other insertion, or the beginning or the end of this one was not measured.
     """
     others = [[*paths[:number], *paths[number + 1 :]] for paths in planes]
-    rows, measured = _used(trial, skip_mm, until_mm, fibre), _measured(trial, end_mm, len(planes) > 1)
+    rows, measured = _used(trial, skip_mm, until_mm, sensors), _measured(trial, end_mm, len(planes) > 1)
     if not others[0] or not rows.size or measured is None:
         return None
-    return np.array(measured[: len(planes)], float) - _predicted(others, trial, rows, end_mm, fibre)
+    return np.array(measured[: len(planes)], float) - _predicted(others, trial, rows, end_mm, sensors)
 
 
-def _used(record: Record, skip_mm: float, until_mm: float, fibre: FibreSensors | None) -> NDArray[np.intp]:
+def _used(record: Record, skip_mm: float, until_mm: float, sensors: _Sensors) -> NDArray[np.intp]:
     """Return the numbers of the samples of a record that count."""
     depth = np.maximum.accumulate(_depth(record))
     known = np.isfinite(record["y_mm"])
-    if fibre:
-        known |= np.isfinite(fibre.measured(record)).any(axis=(1, 2))
+    known |= np.isfinite(sensors.curvatures(record)).any(axis=(1, 2)) | np.isfinite(sensors.places(record)).all(axis=1)
     return np.flatnonzero(known & (depth > skip_mm) & (depth <= until_mm))
 
 
@@ -244,14 +270,14 @@ def _predicted(
     record: Record,
     used: NDArray[np.intp],
     end_mm: float,
-    fibre: FibreSensors | None,
+    sensors: _Sensors,
 ) -> Array:
     """Return y, or y and z (mm), at the end by the filter, from samples of a record and earlier paths."""
     depth = np.maximum.accumulate(_depth(record))
     start, roll, bend = _begun(planes, float(depth[used[-1]]))
-    settings = TipSettings(angle_sd_rad=_UNKNOWN_RAD)
-    tip_filter = TipFilter(Registration(), start, lambda x_mm, *_: bend(x_mm), settings, fibre)
-    curvatures = fibre.measured(record).tolist() if fibre else []
+    settings = TipSettings(angle_sd_rad=_UNKNOWN_RAD, image_latency_s=sensors.image_latency_s)
+    tip_filter = TipFilter(Registration(), start, lambda x_mm, *_: bend(x_mm), settings, sensors.fibre, sensors.plane)
+    curvatures, seen = sensors.curvatures(record).tolist(), sensors.places(record).tolist()
     along = record["x_mm"] if "x_mm" in record.columns else _depth(record)
     aside = record["z_mm"] if len(planes) > 1 else np.zeros(len(record))
     for number, row in enumerate(used.tolist()):
@@ -259,8 +285,10 @@ def _predicted(
         tip_filter.predict(StageSample(now, float(depth[row]), 0.0, roll, moving=True))
         place = (float(along[row]), float(record["y_mm"][row]), float(aside[row]))
         tip_filter.update(PoseSample(now, place, (1.0, 0.0, 0.0, 0.0), math.nan))
-        if fibre:
+        if sensors.fibre:
             tip_filter.update_fibre(FibreSample(now, tuple((y, z) for y, z in curvatures[row])))
+        if sensors.plane:
+            tip_filter.update_image(ImageSample(now, *seen[row]))
     state, _ = tip_filter.ahead(end_mm - float(depth[used[-1]]))
     return state[1 : 1 + len(planes)]
 

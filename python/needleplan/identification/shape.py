@@ -6,7 +6,7 @@ them, equation (5) of docs/explanation/needle-shape.md. Several trials give the 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -28,6 +28,9 @@ __all__ = ["identify"]
 _AT_END_MM = 1.0
 # Curvature (1/mm) at which the fit begins.
 _FIRST_PER_MM = 1e-3
+# Mean curvature (1/mm) of a sensor outside of the tissue from which a remark names it: five standard deviations of the
+# constant error of a sensor (`fibre_bias_sd_per_mm` of the tip filter).
+_OUTSIDE_PER_MM = 5e-4
 
 
 def identify(
@@ -80,6 +83,7 @@ def identify(
         for place in fibre.from_tip_mm
         if place > max(depth for depth, _ in ends)
     ]
+    remarks += _outside_remarks(trials.train, fibre)
     if boundary_mm is not None and all(boundary_mm >= depth - fibre.from_tip_mm[0] for depth, _ in ends):
         remarks.append("no sensor is in the second layer: its constant comes from the shape of the first layer alone")
     return Identification(
@@ -97,6 +101,22 @@ def _end(record: Record, sensors: FibreSensors) -> tuple[float, Array]:
     near = measured[depth > deepest - _AT_END_MM]
     count = np.isfinite(near).sum(axis=0)
     return deepest, np.where(count, np.nansum(near, axis=0) / np.maximum(count, 1), np.nan)
+
+
+def _outside_remarks(records: Sequence[Record], sensors: FibreSensors) -> Iterator[str]:
+    """Yield a remark for each sensor that measures a curvature while it is outside of the tissue."""
+    for number, place in enumerate(sensors.from_tip_mm):
+        readings = [
+            sensors.measured(record)[record["depth_mm"] < place - sensors.gauge_mm / 2, number] for record in records
+        ]
+        outside = np.concatenate(readings)
+        known = outside[np.isfinite(outside).all(axis=1)]
+        size = float(np.linalg.norm(known.mean(axis=0))) if len(known) else 0.0
+        if size > _OUTSIDE_PER_MM:
+            yield (
+                f"the sensor {place:g} mm from the tip measures {1e3 * size:.2g} 1/m outside of the tissue: "
+                "does it drift, as with temperature, or is the needle bent there?"
+            )
 
 
 def _mean(estimates: Sequence[Estimate]) -> Estimate:

@@ -9,6 +9,7 @@ import numpy as np
 from needleplan.errors import DataError
 from needleplan.page._packing import pack
 from needleplan.page._risk import risk_distances
+from needleplan.page._sensed import Sensed
 from needleplan.planning import Pose
 from needleplan.scenario import Scenario
 
@@ -46,7 +47,7 @@ def track_message(recording: Recording) -> bytes:
     tip = np.stack([columns["time_s"] - begin_s, *(columns[name] for name in ("x_mm", "y_mm", "heading_rad"))], axis=1)
     decisions, events = messages_of(recording, _plane_decision)
     header = {"duration_s": recording.duration_s, "decisions": decisions, "events": events}
-    return packed_track(header, recorded_plan(recording)[0], tip, force_along(recording))
+    return packed_track(header, recorded_plan(recording)[0], tip, force_along(recording), Sensed.of(recording))
 
 
 def force_along(recording: Recording) -> NDArray[np.float64]:
@@ -79,7 +80,11 @@ def _plane_decision(values: Any) -> dict[str, Any]:
 
 
 def packed_track(
-    header: Mapping[str, Any], scenario: Scenario, tip: NDArray[np.float64], force: NDArray[np.float64]
+    header: Mapping[str, Any],
+    scenario: Scenario,
+    tip: NDArray[np.float64],
+    force: NDArray[np.float64],
+    sensed: Sensed | None = None,
 ) -> bytes:
     """Return the message on an insertion.
 
@@ -93,6 +98,8 @@ def packed_track(
         Time (s), x_mm, y_mm and heading_rad of the tip, shape (n, 4).
     force : numpy.ndarray
         Time (s) and axial force (N), shape (m, 2); none if m is 0.
+    sensed : Sensed, optional
+        Samples of curvature sensors and images.
 
     Returns
     -------
@@ -105,7 +112,8 @@ def packed_track(
         arrays["risk_mm"] = risk_distances(scenario, kept[:, 1:3]).min(0).astype(np.float32)
     if len(force):
         arrays |= {"force_time_s": force[:, 0], "force_n": force[:, 1]}
-    return pack(header, arrays)
+    more, measured = sensed.packed(in_space=False) if sensed else ({}, {})
+    return pack({**header, **more}, {**arrays, **measured})
 
 
 def thinned(samples: NDArray[Any]) -> NDArray[Any]:

@@ -11,6 +11,7 @@ from needleplan.anatomy import Anatomy, AnatomyFile, SpaceScenario
 from needleplan.errors import DataError, Mistake
 from needleplan.page._packing import pack
 from needleplan.page._recorded import force_along, messages_of, thinned
+from needleplan.page._sensed import Sensed
 from needleplan.planning import Action, SpacePose, SpaceTable
 
 if TYPE_CHECKING:
@@ -86,7 +87,8 @@ class SpaceRun:
         tip = np.stack([time_s, *(columns[f"{each}_mm"] for each in ("x", "y", "z", "depth"))], 1)
         decisions, events = messages_of(recording, _decision)
         header = {"duration_s": recording.duration_s, "decisions": decisions, "events": events}
-        return packed_space_track(header, table, _planned(recording, table), tip, force_along(recording))
+        sensed = Sensed.of(recording)
+        return packed_space_track(header, table, _planned(recording, table), tip, force_along(recording), sensed)
 
 
 def packed_space_track(
@@ -95,6 +97,7 @@ def packed_space_track(
     planned: NDArray[np.float64],
     tip: NDArray[np.float64],
     force: NDArray[np.float64],
+    sensed: Sensed | None = None,
 ) -> bytes:
     """Return the message on a 3D insertion.
 
@@ -110,6 +113,8 @@ def packed_space_track(
         Time (s), x, y and z of the tip (mm) and depth, or length of the path (mm), shape (m, 5).
     force : numpy.ndarray
         Time (s) and axial force (N), shape (k, 2).
+    sensed : Sensed, optional
+        Samples of curvature sensors and images.
 
     Returns
     -------
@@ -139,7 +144,8 @@ def packed_space_track(
         "turns": sum(each["action"] == Action.ROTATE.name.lower() for each in header["decisions"]),
         "replans": sum(event["name"] == "table_swapped" for event in events),
     }
-    return pack({**header, **more}, arrays)
+    told, measured = sensed.packed(in_space=True) if sensed else ({}, {})
+    return pack({**header, **more, **told}, {**arrays, **measured})
 
 
 def _anatomy_beside(recording: Recording) -> Anatomy:

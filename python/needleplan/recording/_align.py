@@ -124,8 +124,22 @@ def trial_of_channels(
         raise DataError("holds no samples of a force sensor, a stage or a tracker", source)
     trial = found[0]
     for other in found[1:]:
-        trial = align(trial, other)
+        trial = _placed(trial, other) if IMAGE_COLUMNS[0] in other.columns else align(trial, other)
     return replace(trial, notes=(*notes, *trial.notes), frame=replace(frame, provenance=source))
+
+
+def _placed(record: Record, images: Record) -> Record:
+    """Return the record with each position of an image in its first row at or after the arrival; NaN in other rows.
+
+    A position between two images is not interpolated: it would count as one more measurement.
+    """
+    rows = np.searchsorted(record["time_s"], images["time_s"])
+    inside = rows < len(record)
+    for name in IMAGE_COLUMNS:
+        values = np.full(len(record), np.nan)
+        values[rows[inside]] = images[name][inside]
+        record = record.with_column(name, values)
+    return replace(record, notes=(*record.notes, f"{', '.join(IMAGE_COLUMNS)}: {int(inside.sum())} images"))
 
 
 def good_samples(columns: Mapping[str, Any], values: Mapping[str, Array]) -> dict[str, Array]:

@@ -51,6 +51,7 @@ class SteeringCase:
 
     `start` is x_mm, y_mm, heading_rad; None means the best entry. The bevel is that of the lower cost. `servo_hz` is
     the rate of the robot's servo; it is lower than in other labs, because servo samples dominate the computing time.
+    `beyond_mm` is that of the control loop.
     """
 
     name: str
@@ -60,6 +61,7 @@ class SteeringCase:
     velocity_mm_s: float = 10.0
     velocity_rad_s: float = 10.0
     servo_hz: int = 400
+    beyond_mm: float = 0.0
 
     @property
     def table(self) -> PolicyTable:

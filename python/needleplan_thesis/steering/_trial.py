@@ -28,8 +28,8 @@ class SteeringTrial:
 
     - `path_mm`, `planned_mm`: true path of the tip, shape (n, 3), and path of the plan
     - `turns_mm`: positions of the rotations, shape (turns, 2); empty without feedback
-    - `error_mm`, `aside_mm`: distance of the end of the true path from the centre of the target in the plane, and from
-      the plane
+    - `error_mm`, `aside_mm`: distance of the end of the true path from the true centre of the target in the plane, and
+      across the plane; without feedback, from the centre in the plan
     - `out_of_plane_mm`: largest distance of the true path from the plane of the plan
     - `deviation_mm`: largest distance of the true path from the planned path, up to the length of the planned path
     - `seen_error_mm`, `seen_deviation_mm`: error and deviation by the tip filter; NaN without feedback
@@ -100,13 +100,14 @@ def _with_feedback(task: SteeringTask) -> SteeringTrial:
     options = Options(
         velocity_mm_s=case.velocity_mm_s, velocity_rad_s=case.velocity_rad_s, torsion=station.torsion,
         needle_length_mm=station.needle_length_mm,
-        replan=task.guidance is Guidance.REPLANNED,
+        replan=task.guidance is Guidance.REPLANNED, beyond_mm=case.beyond_mm,
     )  # fmt: skip
     limits = SafetyLimits(insertion_velocity_mm_s=max(case.velocity_mm_s, SafetyLimits().insertion_velocity_mm_s))
     truth = _Truth(station.lab.plant)
     insertion = Insertion(
         table, station, options, registration=station.registration, limits=limits, listeners=[truth],
-        accepted_limits="the speed of the study", tip_settings=TipSettings(),
+        accepted_limits="the speed of the study",
+        tip_settings=TipSettings(image_latency_s=station.lab.plant.setup.effects.ultrasound_delay_s),
     )  # fmt: skip
     with station, insertion:
         report = insertion.run()
@@ -118,7 +119,7 @@ def _with_feedback(task: SteeringTask) -> SteeringTrial:
     return _trial(
         task, table, np.array(truth.path), planned, np.array(turned, float).reshape(-1, 2),
         seen=(report.error_mm, seen_mm), counts=(report.turns, report.replans),
-        outcome=(report.outcome, report.cause),
+        outcome=(report.outcome, report.cause), target_mm=station.true_target_mm(table.scenario.target.center_mm),
     )  # fmt: skip
 
 
@@ -138,9 +139,9 @@ def _without(task: SteeringTask) -> SteeringTrial:
 
 def _trial(
     task: SteeringTask, table: PolicyTable, path: Array, planned: Array, turns_mm: Array, *, seen: tuple[float, float],
-    counts: tuple[int, int], outcome: tuple[str, str],
+    counts: tuple[int, int], outcome: tuple[str, str], target_mm: tuple[float, float, float] | None = None,
 ) -> SteeringTrial:  # fmt: skip
-    end = path_end(table.scenario, path)
+    end = path_end(table.scenario, path, target_mm)
     return SteeringTrial(
         task, path, planned, turns_mm, end.error_mm, end.aside_mm, float(np.abs(path[:, 2]).max()),
         _deviation_mm(planned, path),

@@ -23,8 +23,8 @@ __all__ = ["Moves", "PathEnd", "aimed_at_target", "execute_moves", "path_end", "
 class PathEnd:
     """The end of a path relative to the target of a scenario, and the obstacles on the path.
 
-    `error_mm` is the distance of the end from the centre of the target, in the plane of the plan; `aside_mm` is the
-    distance of the end from this plane. `touched` names the first obstacle on the path, or is empty; `left` is True if
+    `error_mm` is the distance of the end from the centre of the target, in the plane of the plan; `aside_mm` is their
+    distance across this plane. `touched` names the first obstacle on the path, or is empty; `left` is True if
     the path left the workspace.
     """
 
@@ -39,12 +39,17 @@ class PathEnd:
         return math.hypot(self.error_mm, self.aside_mm)
 
 
-def path_end(scenario: Scenario, path_mm: Array) -> PathEnd:
-    """Return the end of a path (mm), shape (n, 3), relative to the target and the obstacles of a scenario."""
+def path_end(scenario: Scenario, path_mm: Array, target_mm: tuple[float, float, float] | None = None) -> PathEnd:
+    """Return the end of a path (mm), shape (n, 3), relative to the target and the obstacles of a scenario.
+
+    `target_mm` is the centre of a target that the needle has displaced; None: that of the scenario.
+    """
     scene, places = _scene(scenario), path_mm[:, :2].tolist()
     touched = next((name for place in places if (name := scene.touches(*place))), "")
     left = any(scene.outside(*place) for place in places)
-    return PathEnd(scene.target_distance_mm(*places[-1]), abs(float(path_mm[-1, 2])), touched, left)
+    x, y, z = target_mm or (*scenario.target.center_mm, 0.0)
+    (end_x, end_y), aside = places[-1], abs(float(path_mm[-1, 2]) - z)
+    return PathEnd(math.hypot(end_x - x, end_y - y), aside, touched, left)
 
 
 @lru_cache(maxsize=16)

@@ -16,6 +16,15 @@ G, RADIUS, FORCE = 0.02, 0.6, 0.4
 PUSH = NeedlePush(G, RADIUS, free_surface=False)
 
 
+def test_a_tip_that_goes_on_reaches_the_displaced_target() -> None:
+    for tip_n, shaft_n, length in ((FORCE, 0.0, math.inf), (FORCE, 0.4, 60.0)):
+        beyond = PUSH.beyond_mm(tip_n, shaft_n, length)
+        inserted = length if math.isfinite(length) else 0.0
+        assert PUSH.shift_mm(tip_n, shaft_n, inserted, ahead_mm=-beyond, aside_mm=0.0) == pytest.approx(beyond)
+        assert 0 < beyond < PUSH.shift_mm(tip_n, shaft_n, inserted, ahead_mm=0.0, aside_mm=0.0)
+    assert PUSH.beyond_mm(0.0) == 0.0
+
+
 def axial(x: float, y: float, z: float) -> float:
     return PUSH.shift_mm(FORCE, 0.0, 0.0, ahead_mm=z, aside_mm=math.hypot(x, y))
 

@@ -171,9 +171,8 @@ class TipFilter:
             self._begin(min(depth - self.registration.coil_offset_mm, 0.0))
         else:
             left_at = self._channel.move(depth, roll)
-            for kept in (self._windows, self._images):
-                if left_at is not None and kept:
-                    kept.forget_beyond(left_at)
+            if left_at is not None:
+                self._predictor.forget_beyond(left_at)
             if left_at is not None and left_at < self._at:
                 # The path beyond is new, and no pose has measured it.
                 self._at, self._state, self._covariance = self._path_at(left_at)
@@ -198,6 +197,7 @@ class TipFilter:
         if self._channel is None:
             return
         for key in self._windows.read(sample, self._stage.depth_at(sample.stamp.received_ns), self._base_roll):
+            self._predictor.forget()
             if key[1] <= self._windows.newest(self._at):
                 now = self._state, self._covariance
                 self._state, self._covariance = self._predictor.corrected(key, self._at, *now)
@@ -227,6 +227,7 @@ class TipFilter:
         self._cached = None
         if length > self._at:
             self._images.add(length, place, self._at)
+            self._predictor.forget()
         else:
             self._state, self._covariance = self._images.used(place, self._state, self._covariance)
         self._used_ns = max(measured_ns, self._used_ns or measured_ns)

@@ -118,6 +118,11 @@ class CutChannel:
         """Roll at the end of the channel."""
         return self._rolls[-1]
 
+    @property
+    def settled_mm(self) -> float:
+        """Path length up to which the roll of the channel changes only if the tip cuts a new channel."""
+        return self.cut_mm - _MERGED_MM
+
     def move(self, length_mm: float, roll_rad: float) -> float | None:
         """Move the tip to a path length, with the base at a roll.
 

@@ -26,6 +26,8 @@ _LOOKED_UP_MM = 1.0
 # Path length (mm) below which two places are the same.
 _SAME_MM = 1e-9
 
+_Place = tuple[float, Array, Array]
+
 
 class PathPredictor:
     """Predicts state and covariance along the channel.
@@ -50,6 +52,19 @@ class PathPredictor:
         self._windows = windows
         self._images = images
         self._gate = float(chdtri(2, settings.gate))
+        # Beginning and last stop of the newest prediction: path length, state and covariance.
+        self._kept: tuple[_Place, _Place] | None = None
+
+    def forget(self) -> None:
+        """Discard the stored prediction, because measurements or the channel ahead of its beginning have changed."""
+        self._kept = None
+
+    def forget_beyond(self, length_mm: float) -> None:
+        """Discard measurements beyond a path length, at which the tip has left its channel for a new one."""
+        self.forget()
+        for measurements in (self._windows, self._images):
+            if measurements:
+                measurements.forget_beyond(length_mm)
 
     def planned_at(self, state: Array) -> float:
         """Return the curvature of the plan (1/mm) at a state."""
@@ -60,14 +75,20 @@ class PathPredictor:
     ) -> tuple[float, Array, Array]:
         """Predict from the path length `at` to `until_mm`; return `until_mm`, state and covariance there.
 
-        If `until_mm` is smaller, the path is extrapolated backwards as a straight line.
+        If `until_mm` is smaller, the path is extrapolated backwards as a straight line. A prediction from the same
+        state goes on from the last stop of the one before: the end of a window, or an image. The result is the same.
         """
         if until_mm < at:
             # Before the first stored state the path is extrapolated as a straight line.
             state = state.copy()
             state[:3] += (until_mm - at) * tangent(state)
             return until_mm, state, covariance
+        begin = (at, state, covariance)
+        if self._kept and self._kept[0][1] is state and self._kept[0][2] is covariance and self._kept[1][0] <= until_mm:
+            at, state, covariance = self._kept[1]
         while at < until_mm:
+            if at <= channel.settled_mm:
+                self._kept = begin, (at, state, covariance)
             end = min(until_mm, self._window_end(at), self._images.following(at) if self._images else until_mm)
             for piece in channel.pieces(at, end):
                 for part in self._parts(piece):

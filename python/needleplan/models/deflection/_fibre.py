@@ -207,7 +207,9 @@ class FibreSensors(ConfigTable, key="fibre", error=ModelError, between=(_gauge_i
         """
         there = [name for name in FIBRE_COLUMNS if name in record.columns]
         mistakes = [
-            Mistake(name, "", "is missing: the needle has this sensor") for name in self.columns if name not in there
+            Mistake(name, "", "is missing or empty: leave a sensor without readings out of the distances, and renumber")
+            for name in self.columns
+            if name not in there
         ]
         rule = f"is not a sensor of the needle, which has {len(self.from_tip_mm)} in from_tip_mm"
         mistakes += [Mistake(name, "", rule) for name in there if name not in self.columns]

@@ -69,6 +69,22 @@ class ImagePlane(ConfigTable, key="ultrasound", error=ModelError, between=(_axes
         u, v, off = (self.axes @ (np.asarray(position_mm) - self.origin_mm)).tolist()
         return u, v, off
 
+    def apart_mm(self, points_mm: Array) -> float:
+        """Return how far the nearest of some points is from the slice.
+
+        Parameters
+        ----------
+        points_mm : numpy.ndarray
+            Points in the frame of the plan, shape (n, 3).
+
+        Returns
+        -------
+        float
+            Distance (mm); 0 if a point is in the slice.
+        """
+        off = np.abs((np.asarray(points_mm) - self.origin_mm) @ self.axes[2])
+        return max(float(off.min()) - self.thickness_mm / 2, 0.0)
+
     def require_reached(self, entry_mm: tuple[float, float, float], longest_mm: float) -> Iterator[Mistake]:
         """Yield a mistake if no needle of a length can bring its tip from the entry into the slice.
 
@@ -83,7 +99,7 @@ class ImagePlane(ConfigTable, key="ultrasound", error=ModelError, between=(_axes
         ------
         Mistake
         """
-        apart = abs(self.seen(entry_mm)[2]) - self.thickness_mm / 2
+        apart = self.apart_mm(np.array([entry_mm]))
         if apart > longest_mm:
             rule = (
                 f"must be crossed by the tip: the slice is {apart:.4g} mm from the entry, the insertion {longest_mm:g}"

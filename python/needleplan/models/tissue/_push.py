@@ -138,6 +138,29 @@ class NeedlePush:
             )
         return self._per_mm() * (tip + shaft)
 
+    def beyond_mm(self, tip_n: float, shaft_n: float = 0.0, inserted_mm: float = math.inf) -> float:
+        """Return how much further than to the place of a target at rest a tip must go to reach the displaced target.
+
+        Parameters
+        ----------
+        tip_n, shaft_n, inserted_mm : float
+            As in `shift_mm`; an infinite length means far from the surface, without friction.
+
+        Returns
+        -------
+        float
+            Length (mm) beyond the place at rest, on the axis of the needle: the root s of shift(ahead = -s) = s.
+        """
+        from scipy.optimize import brentq  # only for a plan of an insertion into tissue that gives way
+
+        length = inserted_mm if math.isfinite(inserted_mm) else 0.0
+
+        def left(beyond_mm: float) -> float:
+            return self.shift_mm(tip_n, shaft_n, length, ahead_mm=-beyond_mm, aside_mm=0.0) - beyond_mm
+
+        largest = self.shift_mm(tip_n, shaft_n, length, ahead_mm=0.0, aside_mm=0.0)
+        return float(brentq(left, 0.0, 2 * largest)) if largest > 0 else 0.0
+
     def _along(self, s: float, rho: float) -> float:
         return (4 - 4 * self.poisson) * math.asinh(s / rho) - s / math.hypot(s, rho)
 

@@ -1,7 +1,7 @@
 // Draws the scene, the field, the executions and the path on a plane.
 
 import { palette, ramp } from "./colours.js";
-import { newest } from "./replay.js";
+import { drawNeedle, newest } from "./sensed.js";
 
 export function draw(plane, { document, plan, executions, shown, replay }) {
   const { scenario } = document;
@@ -24,7 +24,10 @@ export function draw(plane, { document, plan, executions, shown, replay }) {
   drawTarget(context, plane, scenario.target, colours);
   if (executions && shown.executions) drawExecutions(context, plane, executions, shown.steps, colours);
   if (plan) drawPath(context, plane, plan, colours);
-  if (replay) drawTrack(context, plane, replay, colours);
+  if (replay) {
+    drawTrack(context, plane, replay, colours);
+    drawNeedle(context, plane, replay, colours);
+  }
 }
 
 // The path of the tip in a recording up to the shown time, its end, and the decisions to rotate.

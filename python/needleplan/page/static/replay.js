@@ -1,6 +1,7 @@
 // Replays a recorded insertion: a slider of time, the axial force over time, and the decisions.
 
 import { palette } from "./colours.js";
+import { drawSensed, isSensed, newest, sensedTexts } from "./sensed.js";
 
 const MARGIN = { left: 52, right: 12, top: 8, bottom: 8 };
 
@@ -12,6 +13,8 @@ export class Replay {
     this.output = element.querySelector("output");
     this.canvas = element.querySelector("canvas");
     this.key = element.querySelector(".chart-key");
+    this.sensed = element.querySelector(".sensed");
+    this.sensedKey = element.querySelector(".sensed + .chart-key");
     this.button = element.querySelector('[data-step="0"]');
     for (const step of [-1, 1]) {
       element.querySelector(`[data-step="${step}"]`).addEventListener("click", () => this.stepTo(step));
@@ -67,6 +70,7 @@ export class Replay {
     const deviation = this.deviations(track);
     if (deviation) parts.push(`deviation ${at(track.tip_time_s, deviation, time_s).toFixed(2)} mm`);
     if (track.risk_mm?.length) parts.push(`risk ${distance(at(track.tip_time_s, track.risk_mm, time_s))}`);
+    parts.push(...sensedTexts(track, time_s));
     if (decision) parts.push(`${decision.action}, success ${(100 * decision.success).toFixed(1)} %${this.store.successBy ?? ""}`);
     if (event) parts.push([event.name, event.cause].filter(Boolean).join(": "));
     const isEnd = time_s >= track.duration_s - 1e-3;
@@ -114,6 +118,7 @@ export class Replay {
   // Draws force and deviation over time, each on its own scale, with a line at the shown time.
   draw() {
     const { replay } = this.store;
+    if (replay && !this.element.hidden) this.drawSensors(replay);
     if (!replay?.track.force_n || this.element.hidden) return;
     const deviation = this.deviations(replay.track);
     const { canvas } = this;
@@ -156,7 +161,7 @@ export class Replay {
       context.setLineDash([]);
       parts.splice(1, 0, [`deviation, 0–${most.toPrecision(2)} mm`, colours.path, "dashed"]);
     }
-    this.tellKey(parts);
+    tellKey(this.key, parts);
     context.strokeStyle = colours.edge;
     context.lineWidth = 1;
     context.strokeRect(MARGIN.left, MARGIN.top, width - MARGIN.left - MARGIN.right, height - MARGIN.top - MARGIN.bottom);
@@ -174,19 +179,25 @@ export class Replay {
     context.fillText(low.toPrecision(1).replace("-", "−"), MARGIN.left - 6, height - MARGIN.bottom - 4);
   }
 
-  // Names the lines of the chart below it: texts, colours and styles.
-  tellKey(parts) {
-    const told = JSON.stringify(parts);
-    if (this.toldKey === told) return;
-    this.toldKey = told;
-    this.key.replaceChildren(...parts.map(([text, colour, style]) => {
-      const part = document.createElement("span");
-      const line = part.appendChild(document.createElement("i"));
-      Object.assign(line.style, { borderTopColor: colour, borderTopStyle: style });
-      part.append(text);
-      return part;
-    }));
+  // Draws what the sensors of needle and images measure, if the insertion has them.
+  drawSensors({ track, time_s }) {
+    this.sensed.hidden = this.sensedKey.hidden = !isSensed(track);
+    if (!this.sensed.hidden) tellKey(this.sensedKey, drawSensed(this.sensed, track, time_s, palette()));
   }
+}
+
+// Names the lines of a chart below it: texts, colours and styles.
+function tellKey(key, parts) {
+  const told = JSON.stringify(parts);
+  if (key.dataset.told === told) return;
+  key.dataset.told = told;
+  key.replaceChildren(...parts.map(([text, colour, style]) => {
+    const part = document.createElement("span");
+    const line = part.appendChild(document.createElement("i"));
+    Object.assign(line.style, { borderTopColor: colour, borderTopStyle: style });
+    part.append(text);
+    return part;
+  }));
 }
 
 // Points of a path (rows of four numbers that begin with x and y) with a straight end of a length (mm): the planned path
@@ -212,17 +223,6 @@ function away([x, y], line) {
     least = Math.min(least, Math.hypot(x - ax - share * dx, y - ay - share * dy));
   }
   return least;
-}
-
-// Number of the newest sample at a time; at least 0.
-export function newest(times, time) {
-  let [low, high] = [0, times.length];
-  while (high - low > 1) {
-    const middle = (low + high) >> 1;
-    if (times[middle] <= time) low = middle;
-    else high = middle;
-  }
-  return low;
 }
 
 // Distances from 30 mm on are not computed in 3D.

@@ -23,6 +23,7 @@ const PATH_MM = 0.6;
 const RUN_MM = 0.2;
 // Radii (mm) of the path of a recorded insertion, of its tip, and of its rotations.
 const EXECUTED_MM = 0.5;
+const SHAPE_MM = 0.8;
 const TIP_MM = 1.6;
 const TURN_MM = 1.0;
 // Distance (pixels) up to which a click takes an entry point.
@@ -79,15 +80,18 @@ export class Scene {
     this.draw();
   }
 
-  // Loads the executed path of a recorded insertion up to its tip, and its rotations; points are in mm.
-  loadRun({ executed_mm: executed, turns_mm: turns }) {
+  // Loads the executed path of a recorded insertion up to its tip, its rotations, the shape of the needle by its sensors and
+  // the positions in images; points are in mm.
+  loadRun({ executed_mm: executed, turns_mm: turns, shape_mm: shape, seen_mm: seen }) {
     if (!this.gl) return;
-    this.drop("executed", "tip", "turns");
+    this.drop("executed", "tip", "turns", "shape", "seen");
     const colours = palette();
     if (executed.length) {
       this.add("executed", tube(executed, EXECUTED_MM), colours.executed);
       this.add("tip", ball(executed.subarray(executed.length - 3), TIP_MM), colours.executed);
     }
+    if (shape.length > 3) this.add("shape", tube(shape, SHAPE_MM), colours.after);
+    if (seen.length) this.add("seen", joined(seen.map((point) => ball(point, EXECUTED_MM))), colours.tissue);
     if (turns.length) this.add("turns", joined(turns.map((point) => ball(point, TURN_MM))), colours.turn);
   }
 

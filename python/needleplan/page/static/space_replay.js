@@ -1,10 +1,11 @@
 // A 3D insertion, recorded or in the lab twin: executed path, tip and rotations over time, and how it ended.
 
-import { newest, Replay } from "./replay.js";
+import { Replay } from "./replay.js";
+import { newest, shapeAt } from "./sensed.js";
 import { ofInsertion } from "./sentences.js";
 import { make, percent } from "./texts.js";
 
-const NOTHING = { executed_mm: new Float32Array(0), turns_mm: [] };
+const NOTHING = { executed_mm: new Float32Array(0), turns_mm: [], shape_mm: new Float32Array(0), seen_mm: [] };
 
 export class SpaceReplay {
   // `panel` shows sentences and numbers. `moved` is called with the position (mm) of the tip, or null, when another time is shown.
@@ -40,7 +41,8 @@ export class SpaceReplay {
     this.describe();
   }
 
-  // What is shown up to the time of the slider: points of the executed path, and of the rotations, in mm.
+  // What is shown up to the time of the slider: points of the executed path, of the rotations, of the needle by its sensors
+  // and of the tip in images, in mm.
   tell() {
     const { track, store } = this;
     if (!track || !store.replay) {
@@ -52,7 +54,8 @@ export class SpaceReplay {
     const count = track.tip_time_s.length && track.tip_time_s[0] <= time ? newest(track.tip_time_s, time) + 1 : 0;
     const executed = track.tip.subarray(0, 3 * count);
     const turns = this.turns.filter((each) => each.time_s <= time).map((each) => [each.x_mm, each.y_mm, each.z_mm]);
-    this.run = { executed_mm: executed, turns_mm: turns };
+    const shape = track.shape_mm && track.sensed_time_s[0] <= time ? shapeAt(track, time) : NOTHING.shape_mm;
+    this.run = { executed_mm: executed, turns_mm: turns, shape_mm: shape, seen_mm: seenUntil(track, time) };
     this.panel.sentences.show(ofInsertion(store.replay));
     this.moved(count ? [...executed.subarray(3 * count - 3)] : null);
   }
@@ -97,4 +100,14 @@ export class SpaceReplay {
     table.hidden = false;
     if (!table.parentElement) this.panel.sentences.element.after(table);
   }
+}
+
+// Positions (mm) of the tip in images up to a time (s), without missed ones.
+function seenUntil({ image_time_s: times, image_mm: places }, time) {
+  const found = [];
+  for (let row = 0; row < (times?.length ?? 0) && times[row] <= time; row++) {
+    const place = [...places.subarray(3 * row, 3 * row + 3)];
+    if (place.every(Number.isFinite)) found.push(place);
+  }
+  return found;
 }
