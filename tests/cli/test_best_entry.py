@@ -82,7 +82,7 @@ def test_all_name_the_same_entry(tmp_path: Path) -> None:
     assert (ring.get_xdata()[0], ring.get_ydata()[0]) == (best[1], best[2])
     page = SpacePage(SpaceScenario.of(Anatomy.read(scene)), str(scene))
     try:
-        assert page._number({}) == page._listed[0] == found.first()
+        assert page._number({}) == page._maps.listed[0] == found.first()
     finally:
         page.close()
 

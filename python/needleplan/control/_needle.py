@@ -36,6 +36,8 @@ __all__ = ["NeedleState", "Stopped", "present_causes"]
 _TURN_S = 0.02
 # largest number of waiting samples that are read from the feed to reach the fault that stopped the run
 _MOST_WAITING = 100
+# largest number of turns for which the fault of a failed reading is awaited, since another thread passes it on
+_FAULT_TURNS = 5
 # distance (mm) of the stage after which the predicted tip is validated between two frames of the tracker
 _CHECK_MM = 0.1
 # ns between two calls of the guard's `tick`, which sends the heartbeat to the stage: in real time a sixth of the
@@ -194,6 +196,10 @@ class NeedleState:
         try:
             for _ in range(_MOST_WAITING):
                 if (sample := self._feed.next(0.0)) is not None:
+                    self._publish(sample)
+            # The guard knows of a failed reading before the thread that reads has passed the fault on.
+            for _ in range(_FAULT_TURNS if self._guard.stage_has_failed else 0):
+                if (sample := self._feed.next(_TURN_S)) is not None:
                     self._publish(sample)
         except DeviceFault as fault:
             return f"{fault}; {causes}"

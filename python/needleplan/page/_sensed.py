@@ -9,14 +9,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from needleplan.models import TipFrame
-from needleplan.models.deflection import FibreSensors
-from needleplan.models.path import ImagePlane
 from needleplan.signals import IMAGE_COLUMNS
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from needleplan.models.deflection import FibreSensors
+    from needleplan.models.path import ImagePlane
     from needleplan.recording import Recording
 
 __all__ = ["Sensed"]
@@ -48,6 +47,9 @@ class Sensed:
     @classmethod
     def of(cls, recording: Recording) -> Sensed:
         """Return the samples of a recorded insertion; the session's texts name sensors and plane."""
+        from needleplan.models.deflection import FibreSensors
+        from needleplan.models.path import ImagePlane
+
         texts, begin_s = recording.session.texts, recording.start_ns * 1e-9
 
         def rows(topic: str, *names: str) -> NDArray[np.float64]:
@@ -106,6 +108,8 @@ class Sensed:
         The curvature at a place of the path is the mean of all readings there up to this sample, by the length by which
         the needle has advanced: at rest it turns. Arcs begin with the estimated pose of the tip at the entry.
         """
+        from needleplan.models import TipFrame
+
         assert self.fibre
         depth = np.interp(self.curvatures[:, 0], self.tip[:, 0], self.tip[:, 7])
         places = depth[:, None] - np.array(self.fibre.from_tip_mm)
