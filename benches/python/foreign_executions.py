@@ -95,7 +95,7 @@ def compare(policy: Policy, table: npl.PolicyTable, poses: np.ndarray, runs: int
     looked = [table.lookup(x, y, heading, int(bevel)) for x, y, heading, bevel in poses]
     predicted = np.array([each.success for each in looked], float)
     value = np.array([each.value for each in looked], float)
-    agree = np.array([each.action for each in looked]) == policy.decide(poses[:, :2], poses[:, 2], poses[:, 3])[0]
+    agree = np.array([each.action.code for each in looked]) == policy.decide(poses[:, :2], poses[:, 2], poses[:, 3])[0]
     rng, started = np.random.default_rng(NOISE_SEED), np.repeat(poses, runs, axis=0)
     parts = [policy.execute(started[at : at + CHUNK], rng) for at in range(0, len(started), CHUNK)]
     outcome, spent = (np.concatenate(each).reshape(len(poses), runs) for each in zip(*parts, strict=True))
@@ -109,6 +109,7 @@ def compare(policy: Policy, table: npl.PolicyTable, poses: np.ndarray, runs: int
     pooled = (realised * runs + shares * ROLLOUTS) / (runs + ROLLOUTS)
     variance = pooled * (1 - pooled) * (1 / runs + 1 / ROLLOUTS)
     some = variance > 0
+    z = (shares - realised)[some] / np.sqrt(variance[some])
     spread = spent.var(axis=1) * (1 / runs + 1 / ROLLOUTS)
     sure = (realised == 1.0) & (predicted > 0.999)
     summary = {
@@ -126,8 +127,8 @@ def compare(policy: Policy, table: npl.PolicyTable, poses: np.ndarray, runs: int
         "program_bias": 100 * (shares - realised).mean(),
         "program_bias_sd": 100 * math.sqrt(variance.sum()) / len(poses),
         "program_poses": int(some.sum()),
-        "program_mean_square_z": ((shares - realised)[some] ** 2 / variance[some]).mean(),
-        "program_worst_z": np.sqrt((shares - realised)[some] ** 2 / variance[some]).max(),
+        "program_mean_square_z": (z**2).mean() if len(z) else None,
+        "program_worst_z": abs(z).max() if len(z) else None,
         "program_cost_bias": (costs - cost).mean(),
         "program_cost_bias_sd": math.sqrt(spread.sum()) / len(poses),
         "cost_bias": (value - cost).mean(),
@@ -197,7 +198,7 @@ def report(result: dict) -> str:
     ]
     for row in result["rows"]:
         s = row["summary"]
-        if "program_bias" not in s:
+        if not s.get("program_poses"):
             continue
         lines.append(
             f"| {row['scenario']} | {row['poses']} | {s['program_bias']:+.2f} +- {s['program_bias_sd']:.2f} "
