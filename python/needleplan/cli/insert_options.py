@@ -119,7 +119,7 @@ def _add_mechanics(group: argparse._ArgumentGroup) -> None:
     group.add_argument(
         "--push",
         metavar=PUSH_FORM,
-        help=f"in the plane: go on as far as the needle pushes the target ahead: {PUSH_HELP}",
+        help=f"push of the needle, by which the tip goes on behind the target (in the plane): {PUSH_HELP}",
     )
     group.add_argument(
         "--needle-length", type=float, metavar="MM", help="length of the shaft, mm, for the torsion (default: 200)"

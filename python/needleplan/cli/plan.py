@@ -106,7 +106,7 @@ def add_to(commands: Any) -> None:
     parser.add_argument(
         "--push",
         metavar=PUSH_FORM,
-        help=f"margin for a target that the needle pushes away: {PUSH_HELP}",
+        help=f"push of the needle, by which the target is planned smaller: {PUSH_HELP}",
     )
     parser.add_argument(
         "--after",
