@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import re
+import threading
 
 import pytest
 from playwright.sync_api import Browser, Page, expect
 
 import needleplan as npl
 from needleplan.anatomy import SpaceScenario
+from needleplan.control import ExecutedStep, Insertion
 from needleplan.page import SpacePage
+from needleplan.page._inserted import _TwinRun
 from tests.anatomy.volumes import anatomy, box
 from tests.browser.browser import drag, opened, told, wait_for
 from tests.page.served import Served, serving
@@ -46,6 +49,24 @@ def test_an_insertion_is_followed_and_stepped_through(page: Page, server: Served
     expect(page.locator("#replay")).to_be_hidden()
 
 
+@pytest.fixture
+def waiting(monkeypatch: pytest.MonkeyPatch) -> None:
+    """After its second decision an insertion waits for the stop: simulated time would not."""
+    stopped, stop, step = threading.Event(), Insertion.stop, _TwinRun.step
+
+    def stop_and_tell(self: Insertion, why: str) -> None:
+        stopped.set()
+        stop(self, why)
+
+    def wait(self: _TwinRun, executed: ExecutedStep) -> None:
+        step(self, executed)
+        assert len(self._decisions) < 2 or stopped.wait(LONG_MS / 1e3)
+
+    monkeypatch.setattr(Insertion, "stop", stop_and_tell)
+    monkeypatch.setattr(_TwinRun, "step", wait)
+
+
+@pytest.mark.usefixtures("waiting")
 def test_an_insertion_is_stopped(page: Page, server: Served) -> None:
     begin(page, 0, 1)
     output = page.locator("#replay output")
