@@ -51,6 +51,8 @@ def line_port(path: str) -> int | None:
     try:
         import fcntl  # Windows has none
 
+        if os.lstat(run_folder()).st_uid != os.getuid():
+            return None  # a folder of another user, whose port may be anything
         with open(line_place(path), encoding="ascii") as file:  # noqa: PTH123 (`pathlib` takes longer to import)
             try:
                 fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import pytest
 
+from needleplan import line_owner
 from needleplan.cli import main
 from needleplan.devices import Stage, open_stage
 from needleplan.devices.robot import (
@@ -138,6 +139,17 @@ def test_who_looks_for_the_owner_of_a_line_does_not_keep_it(server: RobotServer)
         fcntl.flock(looking, fcntl.LOCK_SH)
         threading.Timer(0.05, lambda: fcntl.flock(looking, fcntl.LOCK_UN)).start()
         open_way(server.address).close()
+
+
+def test_a_folder_of_another_user_leads_nowhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(line_owner, "run_folder", lambda: str(tmp_path))
+    with Path(line_place("/dev/ttyUSB0")).open("w", encoding="ascii") as file:
+        file.write("4711")
+        file.flush()
+        fcntl.flock(file, fcntl.LOCK_EX)
+        assert line_port("/dev/ttyUSB0") == 4711
+        monkeypatch.setattr(line_owner.os, "getuid", lambda: tmp_path.stat().st_uid + 1)
+        assert line_port("/dev/ttyUSB0") is None
 
 
 @pytest.mark.parametrize(("fault", "share"), [("lose", 0.0005), ("noise", 0.0005), ("cut", 0.02)])

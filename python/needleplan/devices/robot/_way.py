@@ -54,9 +54,9 @@ class RobotWay(Closing):
         received, datagrams, _ = self._line.counts
         if self.failure or datagrams:
             return self.failure
-        what = f"received {received} bytes but no message" if received else "received nothing"
+        heard = f"received {received} bytes but no message" if received else "received nothing"
         baud = self.address.options.get("baud", LINE_BAUD)
-        return f"{self.address.path} has {what}: has the robot power, its cable, and baud = {baud}?"
+        return f"{self.address.path} has {heard}: has the robot power, its cable, and baud = {baud}?"
 
     @property
     def counts(self) -> tuple[int, int, int]:
