@@ -1,4 +1,4 @@
-"""Compare predicted success and cost with executions by a model that was written from the documentation alone.
+"""Compare predicted success and cost with executions by a model that was written from the documentation.
 
 python benches/python/foreign_executions.py --json benches/results/foreign_executions.json \
     > benches/results/foreign_executions.md
@@ -155,7 +155,8 @@ def report(result: dict) -> str:
         f"{result['poses']} random poses a row, {result['runs']:,} executions each, pose seed {result['seed']}.",
         f"{about['processor']}, {about['date'][:10]}, commit {about['commit'][:10]}, Python {about['python']}.",
         "",
-        "The executions are those of `foreign_model.py`, written from the documentation alone. Differences are",
+        "The executions are those of `foreign_model.py`, written from the documentation alone, but for the reading of",
+        "the table between grid points, which is by an author of the program. Differences are",
         "predicted minus realised success in percentage points. Chance is what exact predictions would show. The",
         "number after +- is one standard deviation by chance. In doubt: poses with a prediction between 1 and 99 %.",
         "Decisions: share of poses at which the first decision is that of `lookup`.",

@@ -1,4 +1,4 @@
-"""A second model of needle and policy, written from the documentation alone, with numpy and without needleplan.
+"""A second model of needle and policy, written from the documentation, with numpy and without needleplan.
 
 It shares no code with the planner, its executions or their oracle. The sources were the pages `planner.md`,
 `scenario.md`, `table.md` and `choose-transition.md`. All functions take arrays with one entry for each run.

@@ -31,7 +31,7 @@ PAGES = {
     "predictions": (
         "Predicted beside realised success",
         "What a table predicts, beside executions by an independent Monte-Carlo: our own at random poses, a second "
-        "program that was written from the documentation alone, and 3D insertions.",
+        "program that was written from the documentation, and 3D insertions.",
         (("predictions", ()), ("foreign_executions", ()), ("space_predictions", ()), ("space_insertions", ())),
     ),
     "solvers": (
