@@ -62,7 +62,9 @@ def _run(options: argparse.Namespace) -> int:
         bench = open_bench(options.address, options.may_move)
     except AddressError as error:
         keys = {"may_move_mm": "--may-move"}
-        raise AddressError([replace(each, key=keys.get(each.key, each.key)) for each in error.mistakes]) from None
+        raise AddressError(
+            [replace(mistake, key=keys.get(mistake.key, mistake.key)) for mistake in error.mistakes]
+        ) from None
     except DeviceFault as fault:
         hint = "" if "no answer" not in str(fault) else ": is a robot there, free, and with this key or none?"
         return complain(f"{str(fault) if options.address in str(fault) else f'{options.address}: {fault}'}{hint}")

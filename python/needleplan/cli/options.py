@@ -64,8 +64,8 @@ def options_named(options: Mapping[str, str]) -> Iterator[None]:
     try:
         yield
     except InputError as error:
-        found = [replace(mistake, key=options.get(mistake.key, mistake.key)) for mistake in error.mistakes]
-        raise type(error)(found, error.source) from None
+        mistakes = [replace(mistake, key=options.get(mistake.key, mistake.key)) for mistake in error.mistakes]
+        raise type(error)(mistakes, error.source) from None
 
 
 def add_table(parser: argparse.ArgumentParser) -> None:

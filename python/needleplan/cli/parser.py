@@ -49,10 +49,13 @@ class Parser(argparse.ArgumentParser):
 
     def complete(self) -> None:
         """Declare what is deferred, here and in all commands."""
-        while self._deferred:
-            self._deferred.pop(0)()
+        self._declare()
         for command in self.commands().values():
             command.complete()
+
+    def _declare(self) -> None:
+        while self._deferred:
+            self._deferred.pop(0)()
 
     def commands(self) -> dict[str, Parser]:
         """Return the parsers of the commands by name; empty if there are none."""
@@ -90,8 +93,7 @@ class Parser(argparse.ArgumentParser):
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
         """Parse arguments. Exit with code 2 if an option is unknown, or if commands exist and no argument is given."""
-        while self._deferred:
-            self._deferred.pop(0)()
+        self._declare()
         given = sys.argv[1:] if args is None else list(args)
         if self.commands() and not given:
             self.print_help()
