@@ -7,7 +7,6 @@ import functools
 import importlib
 import pkgutil
 import re
-import tomllib
 from collections import defaultdict
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
@@ -67,13 +66,6 @@ class ImportGraph:
         return found
 
 
-def test_every_module_has_its_layer() -> None:
-    contracts = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["importlinter"]["contracts"]
-    layers = {part.strip(" ()") for layer in contracts[0]["layers"] for part in layer.split("|")}
-    rooms = {name.split(".")[1] for name in MODULES if name.startswith("needleplan.")}
-    assert rooms <= layers
-
-
 @functools.cache
 def graph(folder: str) -> ImportGraph:
     return ImportGraph(ROOT / folder)
@@ -128,15 +120,6 @@ def test_attributes_have_annotations() -> None:
         for attribute in unclear(method) - declared(node)
     }
     assert not wrong
-
-
-def test_few_rooms_name_the_compiled_module() -> None:
-    naming = {
-        file.relative_to(ROOT / "python" / "needleplan").parts[0]
-        for file in (ROOT / "python").rglob("*.py")
-        if "_ppvi" in file.read_text()
-    }
-    assert naming == {"planning", "anatomy", "models", "devices", "control"}
 
 
 def test_no_file_is_long_or_has_a_name_that_says_nothing() -> None:

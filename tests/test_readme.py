@@ -30,12 +30,6 @@ PICTURE_BYTES = 300_000
 TOLERANCES = {"python": (0.01, 0.0), "sh": (1.0, 0.25)}
 
 
-def commands() -> list[str]:
-    """Return the lines of all shell blocks without their comments."""
-    lines = [line for block in pages.blocks(README) if block.language == "sh" for line in block.text.splitlines()]
-    return [line.split("  #")[0].strip() for line in lines]
-
-
 def make(*arguments: str) -> subprocess.CompletedProcess[str]:
     """Run make with the environment under test instead of .venv, which need not be there."""
     if not shutil.which("make"):
@@ -53,10 +47,6 @@ def make(*arguments: str) -> subprocess.CompletedProcess[str]:
         timeout=600,
         check=False,
     )
-
-
-def test_the_two_commands_are_there() -> None:
-    assert [command for command in commands() if command.startswith("make")] == ["make plan", "make test"]
 
 
 @pytest.mark.slow
@@ -95,10 +85,6 @@ def test_the_test_commands_run_everything(target: str, tools: tuple[str, ...], m
         assert {pages.ROOT / name for name in options[4:]} == marked
 
 
-def test_continuous_integration_runs_the_test_command() -> None:
-    assert (pages.ROOT / ".ci" / "run").read_text().splitlines()[-2:] == ["make test", "make test-slow"]
-
-
 @pytest.mark.slow
 def test_the_rest_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
@@ -106,16 +92,6 @@ def test_the_rest_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     text = re.sub(r"^make .*$", "true", README.read_text(), flags=re.MULTILINE)
     page.write_text(text.replace("needleplan reproduce ch6\n", "needleplan reproduce ch6 --quick\n"))
     pages.run(page, tmp_path, TOLERANCES)
-
-
-def test_the_python_is_ten_lines() -> None:
-    (code,) = [block.text for block in pages.blocks(README) if block.language == "python"]
-    assert len([line for line in code.splitlines() if line]) == 10
-
-
-def test_the_extra_of_the_lines_is_named_before_them() -> None:
-    text = README.read_text(encoding="utf-8")
-    assert text.index('pip install ".[figures]"') < text.index("table.plot()")
 
 
 def test_the_pictures_are_small_and_one_moves() -> None:

@@ -14,10 +14,7 @@ from typing import Any
 import second_generator
 import second_generator_sets as second
 import third_generator as third
-import tuning_base_laws
-import tuning_foreign
-from diagnosis_case import records
-from diagnosis_subject import SUBJECTS, SubjectName
+from diagnosis_subject import SUBJECTS, SubjectName, records
 
 from needleplan.diagnosis import Diagnosis, Library, default_library, diagnose
 from needleplan.diagnosis.catalogue import CatalogueEntry
@@ -25,11 +22,10 @@ from needleplan.models import Model, ShaftAndTip
 from needleplan.models.effects import SIZE
 from needleplan.signals import Array, Motion, Record, Role
 from tests.blind.campaign import Case, Purpose, campaign
-from tests.blind.force import ForceSpec
+from tests.blind.outside import AXES
 from tests.blind.truth import Truth
 
-GENERATORS = ("first", "second", "third", "tuning_foreign", "tuning_base_laws")
-STRATA = ("null", "single", "pair", "outside", "absorbed", "further")
+GENERATORS = ("first", "second", "third")
 # Share of each stratum in a draw from the first generator.
 _SHARES = {"null": 0.2, "single": 0.35, "pair": 0.25, "outside": 0.2}
 _KINDS = {"none": "null"}
@@ -57,9 +53,7 @@ def draw(
     generator: str, runs: int, seed: int, strata: Sequence[str] | None, motion: str | None, least: float = 0.0
 ) -> Iterator[EngineCase]:
     """Yield `runs` cases of a generator; skip those with a hidden effect of a noncentrality below `least`."""
-    source = {
-        "first": _mixed, "second": _second, "third": _third, "tuning_foreign": _foreign, "tuning_base_laws": _base_laws,
-    }[generator]  # fmt: skip
+    source = {"first": _mixed, "second": _second, "third": _third}[generator]
     for case in source(runs, seed, strata, motion):
         if not least or min((each["noncentrality"] for each in case.make()[2]), default=least) >= least:
             yield case
@@ -97,52 +91,6 @@ def _hidden(truth: Truth) -> list[Line]:
     return found
 
 
-def _foreign(runs: int, seed: int, strata: Sequence[str] | None, motion: str | None) -> Iterator[EngineCase]:
-    """Yield 40 % nulls and 60 % singles. `seed` 1 and 2 are halves of the data sets: those of even and odd numbers."""
-    if motion not in (None, "rich"):
-        return
-    for stratum, count in (("null", 2 * runs // 5), ("single", runs - 2 * runs // 5)):
-        if strata and stratum not in strata:
-            continue
-        for index in range(count):
-            spec = tuning_foreign.spec(stratum, 2 * index + seed % 2)
-
-            @lru_cache(1)
-            def make(spec: ForceSpec = spec) -> tuple[ShaftAndTip, list[Record], list[Line], list[str]]:
-                data, truth = tuning_foreign.generate(spec)
-                return tuning_foreign.NOMINAL, records(data), _hidden(truth), []
-
-            facts = {"generator": "tuning_foreign", "stratum": stratum, "motion": "rich",
-                     "rate_hz": tuning_foreign.rate_hz(spec), "heterogeneity": spec.heterogeneity}  # fmt: skip
-            yield EngineCase(f"foreign {spec.seed}", facts, make)
-
-
-# Shares of the strata of the data sets with other base laws.
-_BASE_LAW_SHARES = {"null": 0.3, "single": 0.45, "pair": 0.1, "outside": 0.15}
-
-
-def _base_laws(runs: int, seed: int, strata: Sequence[str] | None, motion: str | None) -> Iterator[EngineCase]:
-    """Yield data sets with other base laws. `seed` 1 and 2 are halves of them: those of even and odd numbers."""
-    if motion not in (None, "rich"):
-        return
-    wanted = {name: share for name, share in _BASE_LAW_SHARES.items() if not strata or name in strata}
-    for stratum, share in wanted.items():
-        for index in range(round(runs * share / sum(wanted.values()))):
-            spec = tuning_base_laws.spec(stratum, 2 * index + seed % 2)
-
-            @lru_cache(1)
-            def make(
-                spec: ForceSpec = spec, stratum: str = stratum
-            ) -> tuple[ShaftAndTip, list[Record], list[Line], list[str]]:
-                data, truth = tuning_base_laws.generate(spec)
-                axes = [SUBJECTS[SubjectName.FORCE].axes[spec.effects[0].name]] if stratum == "outside" else []
-                return tuning_base_laws.nominal(spec), records(data), _hidden(truth), axes
-
-            facts = {"generator": "tuning_base_laws", "stratum": stratum, "motion": "rich",
-                     "rate_hz": tuning_base_laws.rate_hz(spec), "heterogeneity": spec.heterogeneity}  # fmt: skip
-            yield EngineCase(f"base laws {spec.seed}", facts, make)
-
-
 def _first(case: Case) -> EngineCase:
     subject = SUBJECTS[SubjectName.FORCE]
 
@@ -150,7 +98,7 @@ def _first(case: Case) -> EngineCase:
         data, truth = subject.generate(case.spec)
         hidden = _hidden(truth)
         outside = str(case.stratum) == "outside"
-        axes = [subject.axes[case.spec.effects[0].name]] if outside else []
+        axes = [str(AXES[case.spec.effects[0].name])] if outside else []
         assert isinstance(subject.base, ShaftAndTip)
         return subject.base, records(data), hidden, axes
 
@@ -195,7 +143,7 @@ def second_case(
             })  # fmt: skip
             axes += [_AXES.get(axis, axis) for axis in (each["axis"], *each["axes_also_right"])]
         given = {name: float(f"{value * changes.get(name, 1.0):.3g}") for name, value in data.nominal.items()}
-        return ShaftAndTip(**given), found, hidden, axes if wish.kind in ("outside", "planned") else []
+        return ShaftAndTip(**given), found, hidden, axes if wish.kind == "outside" else []
 
     facts = {"generator": "second", "stratum": stratum, "motion": wish.motion, "rate_hz": wish.rate_hz,
              "heterogeneity": wish.heterogeneity}  # fmt: skip

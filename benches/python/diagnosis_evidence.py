@@ -33,8 +33,7 @@ import diagnosis_engines_case as cases
 import machine
 import numpy as np
 import second_generator_sets as second
-from diagnosis_benchmark import engine_digest
-from diagnosis_engines_table import covered, right, share, wrong
+from diagnosis_counts import covered, engine_digest, right, share, wrong
 
 # Seeds of the two generators, which no earlier count has used.
 SECOND, THIRD = 1871, 1881

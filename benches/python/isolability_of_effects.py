@@ -10,8 +10,7 @@ effect of the library imitates the further effect, and the other way round.
 from __future__ import annotations
 
 import numpy as np
-from diagnosis_case import records
-from diagnosis_subject import SUBJECTS, SubjectName
+from diagnosis_subject import SUBJECTS, SubjectName, records
 
 from needleplan.diagnosis import Isolability, Library, isolability
 from needleplan.diagnosis.calibration import calibrate

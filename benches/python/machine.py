@@ -19,8 +19,6 @@ PACKAGES = (
     "pymdptoolbox",
     "stormpy",
     "ompl",
-    "pysindy",
-    "scikit-learn",
 )
 
 

@@ -24,8 +24,7 @@ from typing import Any
 
 import machine
 import numpy as np
-from diagnosis_benchmark import engine_digest
-from diagnosis_score import rate
+from diagnosis_counts import engine_digest, rate
 from diagnosis_subject import SubjectName
 from next_motion_case import SOURCES, Source, Spec
 

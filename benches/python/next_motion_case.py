@@ -9,15 +9,14 @@ from itertools import count
 from typing import Any
 
 import numpy as np
-from diagnosis_case import records
-from diagnosis_subject import SUBJECTS, Subject, SubjectName
+from diagnosis_subject import SUBJECTS, Subject, SubjectName, records
 
 from needleplan.signals import Motion, Record
 from tests.blind import force, path
 from tests.blind.campaign import HETEROGENEITY, NAMEABLE, SEEDS, UNSEEN, Purpose, Variety
 from tests.blind.effect import ForceName
 from tests.blind.motions import MotionKind, from_depths, trajectory
-from tests.blind.path_campaign import UNSEEN_PATH
+from tests.blind.path_effect import PathName
 from tests.blind.recording import DataSet, Trial
 from tests.blind.steering import STEP_S, SteeringKind, from_rates, steering
 
@@ -100,11 +99,15 @@ class _Force(Source):
         return _record(force.another(spec, trajectory(spec.training[-1])))
 
 
+# What insertions at one speed without a turn cannot show at all.
+_UNSEEN = (PathName.CURVATURE_SPEED, PathName.TORSIONAL_LAG, PathName.TURN_SLIP)
+
+
 class _Tip(Source):
     """Path of the tip: one to three insertions at one speed without a turn, and a held-out insertion with one turn."""
 
     def specs(self, purpose: Purpose) -> Iterator[path.PathSpec]:
-        names = [each for each in path.INSIDE_PATH if each not in UNSEEN_PATH[Variety.POOR]]
+        names = [each for each in path.INSIDE_PATH if each not in _UNSEEN]
         for number in count():
             seed = SEEDS[purpose].start + _BEHIND + number
             name, level, turn = _mixed(number, names)

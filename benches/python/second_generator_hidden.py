@@ -37,7 +37,7 @@ class Kind:
     axis : str
         Variable on which the effect depends; `also`: further right answers.
     library : str
-        `documented`, `planned` (the library is about to get it) or `none`.
+        `documented` or `none`.
     """
 
     name: str

@@ -9,7 +9,6 @@ from second_generator_kinds import OUTSIDE
 from second_generator_law import Insertion, Tissue
 from second_generator_motion import MOTIONS, RATES_HZ, draw_motions
 from second_generator_noise import Noise, draw_field, draw_noise, heterogeneity_columns, unabsorbed
-from second_generator_planned import PLANNED
 
 STRATA = ((5.0, 30.0), (30.0, 70.0), (70.0, 100.0), (100.0, 300.0), (300.0, 30000.0))  # noncentrality
 RMS_RANGE = (0.5, 50.0)  # of an effect, in noise RMS; the lower bound yields to the stratum
@@ -18,7 +17,7 @@ NOISE_S = 12.0  # duration of the noise record
 LAG_S = 0.004  # standard deviation of the sensor lag in `noncentrality_if_the_lag_is_free`
 SCATTER = 0.08  # standard deviation of a parameter between trials, relative
 HETEROGENEITIES = (0.0, 0.03, 0.1)
-KINDS = ("none", "single", "pair", "outside", "planned")
+KINDS = ("none", "single", "pair", "outside")
 INVISIBLE = ("gain_error", "ageing")  # the base model, calibrated to each trial, takes them up
 SIZES = ("noise", "tissue", "rms")
 MIXTURE = ("none", "single", "single", "pair", "single", "outside", "none", "single", "pair", "outside")
@@ -159,7 +158,7 @@ def wishes(
 
 def _library(wish: Wish) -> list[Kind]:
     """Kinds in the order of the seed, beginning with the one whose turn it is."""
-    library = {"single": LIBRARY, "pair": LIBRARY, "outside": OUTSIDE, "planned": PLANNED}.get(wish.kind, ())
+    library = {"single": LIBRARY, "pair": LIBRARY, "outside": OUTSIDE}.get(wish.kind, ())
     order = np.random.default_rng([wish.seed, KINDS.index(wish.kind)]).permutation(len(library))
     if wish.kind == "pair":  # beside another effect a gain error cannot be counted
         order = [each for each in order if library[each].name != INVISIBLE[0]]

@@ -59,10 +59,7 @@ SHORT: dict[str, tuple[str, dict[str, Any]]] = {
 }
 NEEDS = {"real_adaptation": REAL, "real_insertions": REAL}
 
-# Over ten seconds in their short form.
-STUDIES = {"deflection", "joint_filter", "tip_filter"}
-
-# Benches that take longer than seconds in their shortest form, or need what is not installed: they are imported.
+# Benches that take longer than seconds in their shortest form, or need what is not installed: they are imported only.
 LONG = {
     "best_plane",
     "closed_loop",
@@ -71,9 +68,6 @@ LONG = {
     "contestants",
     "decision_latency",
     "diagnosis_ablation",
-    "diagnosis_benchmark",
-    "diagnosis_constants",
-    "diagnosis_engines",
     "diagnosis_evidence",
     "diagnosis_panel",
     "diagnosis_paths",
@@ -118,9 +112,8 @@ def test_every_bench_is_named() -> None:
     assert commands() == SHORT.keys() | LONG
 
 
-@pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=pytest.mark.study if name in STUDIES else pytest.mark.slow) for name in SHORT]
-)
+@pytest.mark.study
+@pytest.mark.parametrize("name", SHORT)
 def test_it_runs(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -137,7 +130,7 @@ def test_it_runs(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", sorted(LONG))
+@pytest.mark.parametrize("name", sorted(LONG | SHORT.keys()))
 def test_it_is_imported(name: str) -> None:
     try:
         module = importlib.import_module(name)

@@ -62,9 +62,6 @@ class Counts:
     absorbed: int = 10
 
 
-SMALL = Counts(4, 2, 1, 4, 1, 1)
-
-
 @dataclass(frozen=True)
 class Case:
     """One data set of a campaign: what it is for, and its specification."""
@@ -73,10 +70,6 @@ class Case:
     stratum: Stratum
     variety: Variety
     spec: ForceSpec
-
-    @property
-    def never_tuned(self) -> bool:
-        return any(each.name in {kind.NAME for kind in NEVER_TUNED} for each in self.spec.effects)
 
 
 def campaign(purpose: Purpose, counts: Counts | None = None) -> Iterator[Case]:

@@ -1,7 +1,7 @@
-"""A bevel-tip needle as a moving point: position x, unit tangent t, and the roll angle of the bevel as the action.
+"""A bevel-tip needle as a moving point: position x and unit tangent t.
 
 In tissue the tip moves along its tangent, x' = t, and turns toward the unit vector b across it, t' = b / R. With b held
-in the plane of the step the path is a circle's arc. Tip noise turns the tangent before a step.
+in the plane of the step the path is a circle's arc.
 """
 
 from __future__ import annotations
@@ -10,46 +10,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 Array = NDArray[np.float64]
-
-
-def transverse(tangent: ArrayLike) -> tuple[Array, Array]:
-    """Two unit vectors e1, e2 across unit tangents (..., 3), so that (t, e1, e2) is right-handed.
-
-    Parameters
-    ----------
-    tangent : array_like
-        Unit tangents, (..., 3).
-
-    Returns
-    -------
-    e1, e2 : ndarray
-        Unit vectors, (..., 3); e1 is across the coordinate axis that is farthest from t.
-    """
-    tangent = np.asarray(tangent, float)
-    axis = np.eye(3)[np.abs(tangent).argmin(-1)]
-    e1 = np.cross(axis, tangent)
-    e1 = e1 / np.linalg.norm(e1, axis=-1, keepdims=True)
-    return e1, np.cross(tangent, e1)
-
-
-def bending_direction(tangent: ArrayLike, roll_rad: ArrayLike) -> Array:
-    """Direction b(phi) = cos(phi) e1 + sin(phi) e2 in which a tip with roll angle phi bends.
-
-    Parameters
-    ----------
-    tangent : array_like
-        Unit tangents, (..., 3).
-    roll_rad : array_like
-        Roll angles phi, (...).
-
-    Returns
-    -------
-    ndarray
-        Unit vectors across the tangents, (..., 3).
-    """
-    e1, e2 = transverse(tangent)
-    roll = np.asarray(roll_rad, float)[..., None]
-    return np.cos(roll) * e1 + np.sin(roll) * e2
 
 
 def arc(
@@ -82,32 +42,3 @@ def arc(
     along = length * np.sinc(angle / np.pi)
     aside = 0.5 * length * angle * np.sinc(0.5 * angle / np.pi) ** 2
     return point + along * tangent + aside * across, np.cos(angle) * tangent + np.sin(angle) * across
-
-
-def disturb(tangent: ArrayLike, length: ArrayLike, rng: np.random.Generator, noise: float) -> Array:
-    """Unit tangents after the tip noise of steps.
-
-    Parameters
-    ----------
-    tangent : array_like
-        Unit tangents, (..., 3).
-    length : array_like
-        Lengths of the steps in mm, (...).
-    rng : numpy.random.Generator
-        Source of two normal numbers for each tangent.
-    noise : float
-        Standard deviation in degrees of each of the two transverse angles after 10 mm.
-
-    Returns
-    -------
-    ndarray
-        Unit tangents, (..., 3).
-    """
-    tangent = np.asarray(tangent, float)
-    e1, e2 = transverse(tangent)
-    deviation = np.deg2rad(noise) * np.sqrt(np.asarray(length, float) / 10.0)
-    angles = rng.standard_normal((*tangent.shape[:-1], 2)) * deviation[..., None]
-    turn = np.linalg.norm(angles, axis=-1, keepdims=True)
-    aside = (angles[..., :1] * e1 + angles[..., 1:] * e2) * np.sinc(turn / np.pi)
-    turned = np.cos(turn) * tangent + aside
-    return turned / np.linalg.norm(turned, axis=-1, keepdims=True)

@@ -149,4 +149,3 @@ class Waving(PathEffect):
 TUNING_PATH = (StageWobble, Notch, TrackerJump)
 NEVER_TUNED_PATH = (TurnSlip, SpeedPull, Waving)
 OUTSIDE_PATH = TUNING_PATH + NEVER_TUNED_PATH
-PATH_AXES = {each.NAME: each.AXIS for each in OUTSIDE_PATH}

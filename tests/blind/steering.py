@@ -27,8 +27,6 @@ class SteeringKind(StrEnum):
 
 TWO_SPEED = (SteeringKind.SLOW_TURN_FAST, SteeringKind.FAST_TURN_SLOW, SteeringKind.REVERSED)
 TWO_SPEED_HELD_OUT = (SteeringKind.LATE_TURN, SteeringKind.TWO_TURNS)
-STRAIGHT_ON = (SteeringKind.ONE_SPEED,) * 3
-STRAIGHT_ON_HELD_OUT = (SteeringKind.LATE_TURN,)
 
 # (depth to go to in mm, speed in mm/s); a depth of None is a turn of so many rad.
 _Legs = tuple[tuple[float | None, float], ...]

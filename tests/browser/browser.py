@@ -7,13 +7,18 @@ import os
 import shutil
 import time
 from collections.abc import Iterator
-from typing import Any
+from typing import Any, Literal
 
 import pytest
+from axe_playwright_python.sync_playwright import Axe
 from playwright.sync_api import Browser, Page, sync_playwright
 
 from tests.page.served import Served
 
+SCHEMES: tuple[Literal["light", "dark"], ...] = ("light", "dark")
+TABLET = {"viewport": {"width": 820, "height": 1180}, "has_touch": True, "is_mobile": True, "device_scale_factor": 2}
+# Chromium says this of screenshots of WebGL when it has no graphics card.
+STALL = "GPU stall due to ReadPixels"
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
 
 
@@ -59,6 +64,12 @@ def opened(browser: Browser, server: Served, *, allowed: str = "", **options: An
 def wait_for(page: Page, *states: str) -> None:
     """Wait until the page is in one of the states: changed, draft, planned, done, refused."""
     page.wait_for_selector(", ".join(f'body[data-state="{state}"]' for state in states))
+
+
+def flaws(page: Page) -> list[str]:
+    """Return what axe-core finds against the rules of accessibility."""
+    found = Axe().run(page).response["violations"]
+    return [f"{each['id']}: {each['nodes'][0]['target']}" for each in found]
 
 
 def drag(page: Page, key: str, across: float, down: float) -> None:

@@ -8,7 +8,6 @@ from __future__ import annotations
 import re
 from itertools import combinations, product
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 import pytest
@@ -19,7 +18,7 @@ from needleplan.anatomy import SpaceScenario
 from needleplan.page import DiagnosisFile, DiagnosisPage, SpacePage
 from tests import pages
 from tests.anatomy.volumes import anatomy, box
-from tests.browser.browser import drag, opened, wait_for
+from tests.browser.browser import SCHEMES, STALL, drag, opened, wait_for
 from tests.page.diagnosed import written
 from tests.page.served import Served, serving
 
@@ -27,9 +26,6 @@ pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("few_executions")]
 
 PICTURES = pages.ROOT / "out" / "pictures"
 SIZES: dict[str, ViewportSize] = {"screen": {"width": 1280, "height": 800}, "tablet": {"width": 820, "height": 1180}}
-SCHEMES: tuple[Literal["light", "dark"], ...] = ("light", "dark")
-# Chromium says this of screenshots of WebGL when it has no graphics card.
-STALL = "GPU stall due to ReadPixels"
 # Fewest colours of a canvas with a drawing: axes, texts and curves have shades at their edges.
 FEWEST_COLOURS = 30
 
@@ -56,36 +52,39 @@ def picture(page: Page, name: str) -> None:
     for canvas in page.locator("canvas:visible").all():
         file = PICTURES / f"{name}.canvas.png"
         canvas.screenshot(path=file)
-        colours = len(np.unique(np.asarray(Image.open(file).convert("RGB")).reshape(-1, 3), axis=0))
+        colours = np.unique(np.asarray(Image.open(file).convert("RGBA")).view(np.uint32)).size
         file.unlink()
         assert colours >= FEWEST_COLOURS, (name, canvas.get_attribute("aria-label"))
 
 
-@pytest.mark.parametrize("size", SIZES)
-@pytest.mark.parametrize("scheme", SCHEMES)
-def test_states_of_a_plan(browser: Browser, server: Served, size: str, scheme: str) -> None:
-    with opened(browser, server, viewport=SIZES[size], color_scheme=scheme) as page:
+def pictures(page: Page, name: str) -> None:
+    """Take a picture in each size and scheme: the page draws itself again for another window and another scheme."""
+    for (size, viewport), scheme in product(SIZES.items(), SCHEMES):
+        page.set_viewport_size(viewport)
+        page.emulate_media(color_scheme=scheme)
+        wait_for_two_frames(page)
+        picture(page, f"{name}-{size}-{scheme}")
+    page.set_viewport_size(SIZES["screen"])
+
+
+def test_states_of_a_plan(browser: Browser, server: Served) -> None:
+    with opened(browser, server) as page:
         wait_for(page, "done")
-        picture(page, f"plan-{size}-{scheme}")
+        pictures(page, "plan")
         page.get_by_role("button", name="Compare").click()
         drag(page, "target", -40, 20)
         wait_for(page, "done")
-        picture(page, f"compare-{size}-{scheme}")
+        pictures(page, "compare")
 
 
 @pytest.mark.study
 def test_states_of_an_insertion(browser: Browser, server: Served) -> None:
-    """One insertion for all pictures, since the page redraws itself for another window and another scheme."""
     with opened(browser, server) as page:
         wait_for(page, "done")
         page.locator("#twin summary").click()
         page.get_by_role("button", name="Insert").click()
         expect(page.locator("#replay output")).to_have_text(re.compile(r"end: \w+"), timeout=120_000)
-        for (size, viewport), scheme in product(SIZES.items(), SCHEMES):
-            page.set_viewport_size(viewport)
-            page.emulate_media(color_scheme=scheme)
-            wait_for_two_frames(page)
-            picture(page, f"insertion-{size}-{scheme}")
+        pictures(page, "insertion")
 
 
 def wait_for_two_frames(page: Page) -> None:
@@ -93,37 +92,20 @@ def wait_for_two_frames(page: Page) -> None:
     page.evaluate("new Promise(drawn => requestAnimationFrame(() => requestAnimationFrame(drawn)))")
 
 
-@pytest.mark.parametrize("size", SIZES)
-@pytest.mark.parametrize("scheme", SCHEMES)
-def test_states_of_a_diagnosis(
-    browser: Browser, tmp_path_factory: pytest.TempPathFactory, size: str, scheme: str
-) -> None:
-    file = DiagnosisFile.read(diagnosis(tmp_path_factory))
-    with (
-        serving(DiagnosisPage(file)) as shown,
-        opened(browser, shown, viewport=SIZES[size], color_scheme=scheme) as page,
-    ):
+def test_states_of_a_diagnosis(browser: Browser, tmp_path: Path) -> None:
+    file = DiagnosisFile.read(written(tmp_path))
+    with serving(DiagnosisPage(file)) as shown, opened(browser, shown) as page:
         wait_for(page, "done")
-        picture(page, f"diagnosis-{size}-{scheme}")
+        pictures(page, "diagnosis")
         page.get_by_label("Horizontal axis").select_option("depth")
-        picture(page, f"diagnosis-depth-{size}-{scheme}")
+        pictures(page, "diagnosis-depth")
 
 
-def diagnosis(factory: pytest.TempPathFactory) -> Path:
-    """Return the folder of one diagnosis, which is made once for all tests."""
-    place = factory.getbasetemp() / "pictured"
-    if not place.exists():
-        place.mkdir()
-        written(place)
-    return place / "found"
-
-
-@pytest.mark.parametrize("size", SIZES)
-def test_states_in_space(browser: Browser, size: str) -> None:
+def test_states_in_space(browser: Browser) -> None:
     found = anatomy(box())
     with (
         serving(SpacePage(SpaceScenario.of(found), "box.toml", found)) as shown,
-        opened(browser, shown, viewport=SIZES[size], allowed=STALL) as page,
+        opened(browser, shown, allowed=STALL) as page,
     ):
         wait_for(page, "done")
-        picture(page, f"space-{size}")
+        pictures(page, "space")

@@ -5,10 +5,8 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import pytest
-from axe_playwright_python.sync_playwright import Axe
 from playwright.sync_api import Browser, Page, expect
 
 import needleplan as npl
@@ -16,14 +14,12 @@ from needleplan.page import DiagnosisFile, DiagnosisPage, page_of
 from needleplan.planning import TargetMap, rank_for_targets
 from tests.anatomy.test_several_targets import TWO
 from tests.anatomy.volumes import anatomy, box
-from tests.browser.browser import drag, opened, told, wait_for
+from tests.browser.browser import STALL, drag, flaws, opened, told, wait_for
 from tests.page.diagnosed import written
 from tests.page.served import Served, serving
 
 pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("few_executions")]
 
-# Chromium says this of screenshots of WebGL when it has no graphics card.
-STALL = "GPU stall due to ReadPixels"
 WITHOUT_WEBGL = """const get = HTMLCanvasElement.prototype.getContext;
 HTMLCanvasElement.prototype.getContext = function (kind, ...more) {
   return kind.startsWith("webgl") ? null : get.call(this, kind, ...more);
@@ -32,10 +28,6 @@ HTMLCanvasElement.prototype.getContext = function (kind, ...more) {
 
 def sentences(page: Page) -> list[str]:
     return page.locator('[data-name="sentences"] p').all_inner_texts()
-
-
-def flaws(page: Page) -> list[Any]:
-    return [each["id"] for each in Axe().run(page).response["violations"]]
 
 
 def test_a_plan_in_sentences(page: Page, table: npl.PolicyTable) -> None:

@@ -11,21 +11,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 import SimpleITK
-from axe_playwright_python.sync_playwright import Axe
 from playwright.sync_api import Browser, Page, Route, expect
 
 from needleplan.anatomy import Anatomy, SpaceScenario
 from needleplan.page import SpacePage, page_of
 from needleplan.planning import EntryMap, SpaceEntry, SpaceTable, plan_space, rank_entries
 from tests.anatomy.volumes import TEXT, anatomy, box, write
-from tests.browser.browser import opened, told, wait_for
+from tests.browser.browser import SCHEMES, STALL, flaws, opened, told, wait_for
 from tests.cli.commands import needleplan
 from tests.page.served import Served, serving
 
 DASH = "\N{EN DASH}"
 MINUS = "\N{MINUS SIGN}"
-# Chromium says this of screenshots of WebGL when it has no graphics card.
-STALL = "GPU stall due to ReadPixels"
 
 
 @pytest.fixture(scope="module")
@@ -232,12 +229,10 @@ def test_the_view_turns_and_a_click_chooses_an_entry(space: Page, entries: Entry
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("scheme", ["light", "dark"])
-def test_axe_finds_nothing_in_space(browser: Browser, space_server: Served, scheme: str) -> None:
-    with opened(browser, space_server, allowed=STALL, color_scheme=scheme) as page:
-        wait_for(page, "done")
-        found = Axe().run(page).response["violations"]
-        assert [f"{each['id']}: {each['nodes'][0]['target']}" for each in found] == []
+def test_axe_finds_nothing_in_space(space: Page) -> None:
+    for scheme in SCHEMES:
+        space.emulate_media(color_scheme=scheme)
+        assert flaws(space) == []
 
 
 @pytest.mark.slow

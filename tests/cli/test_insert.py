@@ -163,7 +163,7 @@ def test_a_table_for_another_needle_is_refused(file: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_who_stops_it_leaves_the_needle_and_a_whole_recording(
     number: signal.Signals, file: Path, quick: Path, tmp_path: Path
 ) -> None:

@@ -15,8 +15,6 @@ from tests.cli.commands import needleplan, refused
 
 pytestmark = pytest.mark.usefixtures("few_executions")
 
-LAX = ("--accept-limits", "a fast lab")
-
 
 @pytest.fixture(scope="module")
 def table(tmp_path_factory: pytest.TempPathFactory) -> Path:

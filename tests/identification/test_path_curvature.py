@@ -13,7 +13,6 @@ from needleplan.signals import Array
 from tests.identification.arcs import LENGTH_MM, POINTS, RADIUS_MM, SIGMA_MM, arc, correlated, white
 
 KAPPA = 1 / RADIUS_MM
-Disturbance = Callable[[np.random.Generator], Array]
 STRAIGHT_IN = (0.0, 0.0, 0.0)
 
 

@@ -84,9 +84,3 @@ def test_what_is_written_is_ignored_by_git() -> None:
         pytest.skip("git, or the history is not there")
     ignored = git("check-ignore", "--no-index", *WRITTEN, folder=ROOT).splitlines()
     assert {*WRITTEN} - {*ignored} == set()
-
-
-def test_only_the_tests_are_installed_editable() -> None:
-    script = (ROOT / "scripts" / "install").read_text()
-    assert re.findall(r"--test\) .*", script) == ['--test) extras="[test]" how=--editable ;;']
-    assert "--editable" not in script.replace("how=--editable", "")

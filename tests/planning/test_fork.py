@@ -73,7 +73,7 @@ def forked(work: Callable[[Scenario], dict[str, bytes]], scenario: Scenario) -> 
 
 @pytest.fixture(scope="module")
 def scene(small: Scenario) -> Scenario:
-    return replace(small, grid=Grid((2, 2)))
+    return replace(small, grid=Grid((4, 4)))
 
 
 @pytest.mark.slow

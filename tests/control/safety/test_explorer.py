@@ -110,12 +110,14 @@ ORDERS: dict[str, tuple[Order | MotionOrder, Any]] = {
 }  # fmt: skip
 
 
+@pytest.mark.study  # of the explorer, not of the guard
 @pytest.mark.parametrize("name", MUTANTS)
 def test_a_mutant_is_found(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(machine, *MUTANTS[name])
     assert explore(8, to_the_end=False, advance=machine.advance).mistakes
 
 
+@pytest.mark.study
 @pytest.mark.parametrize("name", ORDERS)
 def test_a_mutant_of_an_order_is_found(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     order, mutant = ORDERS[name]

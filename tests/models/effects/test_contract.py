@@ -86,7 +86,7 @@ def test_memories_are_their_rates_integrated(effect: Effect) -> None:
         pytest.skip("has no memory of its own")
     model = effect.apply(base(effect), values_of(effect))
     assert isinstance(model, WithTerm)
-    fine = path(1000.0)
+    fine = path(400.0)
     start = model.initial_state(fine)
     states = _kutta(model, fine, start, 1)
     slow, fast = model.output(states, fine), simulate(model, fine).output

@@ -23,7 +23,7 @@ def path(rate_hz: float) -> Motion:
 @pytest.mark.parametrize("inner", [BASE, SlowTurning(base=BASE, size=0.3)], ids=["plain", "slow"])
 def test_it_is_its_rates_integrated(inner: ShaftAndTip | SlowTurning, growth: float, lag_s: float) -> None:
     model = GivingTissue(base=inner, size=0.8, lag_s=lag_s, growth=growth)
-    fine, coarse = path(2000.0), path(100.0)
+    fine, coarse = path(1000.0), path(100.0)
     slow = _kutta(model, fine, model.initial_state(fine), 1)
     np.testing.assert_allclose(simulate(model, fine).states, slow, atol=2e-3)
     seen = [np.interp(coarse.time_s, fine.time_s, row) for row in slow]
