@@ -34,6 +34,14 @@ class ImportGraph:
 
     def __init__(self, root: Path) -> None:
         self.trees = {self._name(file, root): ast.parse(file.read_text()) for file in sorted(root.rglob("*.py"))}
+        self.handed_on = {
+            module: {
+                alias.asname or alias.name: (node.module, alias.name)
+                for node in tree.body if isinstance(node, ast.ImportFrom) and node.module in self.trees
+                for alias in node.names
+            }
+            for module, tree in self.trees.items()
+        }  # fmt: skip
 
     @staticmethod
     def _name(file: Path, root: Path) -> str:
@@ -43,24 +51,19 @@ class ImportGraph:
         """Return the module in which `name` of `module` is defined."""
         if f"{module}.{name}" in self.trees:
             return f"{module}.{name}"
-        for node in self.trees[module].body:
-            if isinstance(node, ast.ImportFrom) and node.module in self.trees:
-                for alias in node.names:
-                    if (alias.asname or alias.name) == name:
-                        return self.home(node.module, alias.name)
-        return module
+        further = self.handed_on[module].get(name)
+        return self.home(*further) if further else module
 
     def edges(self) -> dict[str, set[str]]:
         found: dict[str, set[str]] = {}
         for module, tree in self.trees.items():
+            nodes = [node for node in ast.walk(tree) if isinstance(node, ast.Import | ast.ImportFrom)]
             named = [
                 (str(node.module), alias.name)
-                for node in ast.walk(tree)
-                if isinstance(node, ast.ImportFrom)
-                for alias in node.names
-                if alias.name != "_ppvi"
-            ]
-            plain = [alias.name for node in ast.walk(tree) if isinstance(node, ast.Import) for alias in node.names]
+                for node in nodes if isinstance(node, ast.ImportFrom)
+                for alias in node.names if alias.name != "_ppvi"
+            ]  # fmt: skip
+            plain = [alias.name for node in nodes if isinstance(node, ast.Import) for alias in node.names]
             homes = {self.home(source, name) for source, name in named if source in self.trees}
             found[module] = (homes | {each for each in plain if each in self.trees}) - {module}
         return found

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 PROGRAM = Path(__file__).parents[1] / "benches" / "python" / "fuzz_parsers.py"
-RUNS = {"robot": 5000, "machine": 100, "ati": 5000, "ndi": 2000, "igtl": 2000, "recording": 100}
+RUNS = {"robot": 2000, "machine": 50, "ati": 2000, "ndi": 800, "igtl": 800, "recording": 40}
 
 # Memory that a parser may take, MB: the limit that libFuzzer has by itself.
 MEMORY_MB = 2048

@@ -108,6 +108,7 @@ def test_a_motion_of_everything_is_an_error_of_the_registration(shifted: tuple[A
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("few_executions")
 def test_entry_says_how_success_falls(tmp_path: Path) -> None:
     file = write(tmp_path, box(), TEXT + BREATH)
     said = json.loads(needleplan("entry", file, "--top", 1, "--json").stdout)

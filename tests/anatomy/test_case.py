@@ -219,6 +219,7 @@ def test_a_part_with_body_in_its_name_is_not_the_body(name: str) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("few_executions")
 def test_a_folder_becomes_ranked_entries(tmp_path: Path) -> None:
     folder, file = write_masks(tmp_path / "in"), tmp_path / "case.toml"
     refused(needleplan("case", folder, "--radius", "60", "-o", file), "--gauge: is required without --margin")

@@ -19,6 +19,8 @@ SCHEMES: tuple[Literal["light", "dark"], ...] = ("light", "dark")
 TABLET = {"viewport": {"width": 820, "height": 1180}, "has_touch": True, "is_mobile": True, "device_scale_factor": 2}
 # Chromium says this of screenshots of WebGL when it has no graphics card.
 STALL = "GPU stall due to ReadPixels"
+# Longest wait in s for what the page should come to: it draws without a graphics card, on a busy machine.
+PATIENCE_S = 120
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
 
 
@@ -46,7 +48,7 @@ def opened(browser: Browser, server: Served, *, allowed: str = "", **options: An
     wrong: list[str] = []
     context = browser.new_context(**{"viewport": {"width": 1280, "height": 800}, **options})
     page = context.new_page()
-    page.set_default_timeout(15_000)
+    page.set_default_timeout(1000 * PATIENCE_S)
     page.on("console", lambda message: wrong.append(message.text) if message.type in ("error", "warning") else None)
     page.on("pageerror", lambda error: wrong.append(str(error)))
     origin = server.address.split("#")[0]
@@ -97,6 +99,6 @@ def label(page: Page, key: str) -> str:
 
 def wait_for_new_picture(page: Page, before: bytes) -> None:
     """Wait until the plane looks otherwise than in the screenshot `before`."""
-    end_s = time.monotonic() + 15
+    end_s = time.monotonic() + PATIENCE_S
     while page.locator("#plane canvas").screenshot() == before:
         assert time.monotonic() < end_s, "the picture has not changed"

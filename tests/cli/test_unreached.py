@@ -16,7 +16,9 @@ from tests.cli.commands import needleplan
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kind", ["prostate", "brain"])  # in the others, this cone leaves a way or none that is tried
+@pytest.mark.parametrize(
+    "kind", [pytest.param("prostate", marks=pytest.mark.study), "brain"]
+)  # in the others, this cone leaves a way or none that is tried
 def test_a_cone_that_is_too_narrow_is_told(kind: str, tmp_path: Path) -> None:
     scene = write_phantom(kind, tmp_path, 5)
     text = scene.read_text()

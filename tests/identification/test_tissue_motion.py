@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 from needleplan.errors import DataError
 from needleplan.identification import Identification
@@ -55,32 +56,17 @@ def test_stiffness_and_damping_are_found_with_the_friction(identified: Identific
 
 
 @pytest.mark.slow
-def test_three_ways_to_the_lag(identified: Identification) -> None:
+def test_lag_held_out_trial_remarks_and_figure(identified: Identification) -> None:
     scores = {name: value for name, value, _ in identified.scores}
     lag = true_lag_deg(TRUTH)
     assert scores["lag, fitted tissue"] == pytest.approx(lag, abs=1.0)
     assert scores["lag, slow observer"] == pytest.approx(lag, abs=2.5)
     assert scores["lag, marker x_mm"] == pytest.approx(lag, abs=1.0)
     assert scores["amplitude of the motion"] == pytest.approx(40, rel=1e-3)
-
-
-@pytest.mark.slow
-def test_the_held_out_trial_is_predicted_and_rigid_tissue_is_worse(identified: Identification) -> None:
-    scores = {name: value for name, value, _ in identified.scores}
     assert scores["RMSE on 25 mm"] < 1.3 * scores["RMSE, friction on tissue"]
     assert scores["RMSE, friction on tissue"] < 0.8 * scores["RMSE, friction on rigid tissue"]
-
-
-@pytest.mark.slow
-def test_a_late_velocity_is_noticed(identified: Identification) -> None:
     assert sum("later than the depth says" in each for each in identified.remarks) == 3
     assert not any("one amplitude" in each for each in identified.remarks)
-
-
-@pytest.mark.slow
-def test_the_figure_has_three_loops(identified: Identification) -> None:
-    from matplotlib.figure import Figure
-
     figure = Figure()
     identified.draw(figure)
     assert len(figure.axes) == 3

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import time
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -12,7 +10,7 @@ from needleplan.identification import curvature, friction
 from needleplan.models.friction import LumpedLuGre
 from needleplan.recording import read_records, write_records
 from needleplan.signals import MovingAverage
-from needleplan.simulation import Effects, Simulation, run_simulation
+from needleplan.simulation import Simulation, run_simulation
 
 
 @pytest.mark.slow
@@ -40,14 +38,3 @@ def test_the_friction_of_the_plant_is_found() -> None:
         reach = 1.7 * (estimate.high - estimate.low) / 2
         assert estimate.value == pytest.approx(getattr(true, name), abs=reach), name
         assert estimate.value == pytest.approx(getattr(true, name), rel=0.1), name
-
-
-@pytest.mark.slow
-def test_a_minute_takes_seconds() -> None:
-    simulation = Simulation.read("insertion")
-    effects = replace(simulation.setup.effects, heading_noise_rad_sqrt_mm=0.002, torsional_friction_n=0.01)
-    begin = time.process_time()
-    done = run_simulation(replace(simulation, setup=replace(simulation.setup, effects=effects)))
-    assert isinstance(effects, Effects)
-    per_minute = (time.process_time() - begin) / (done.stage[-1].stamp.device_time_s or 0.0) * 60
-    assert per_minute < 20

@@ -13,6 +13,7 @@ from types import TracebackType
 from typing import Self
 
 from tests.pages import environment
+from tests.recording.samples import wait_for
 
 
 class DaskProcesses:
@@ -35,7 +36,14 @@ class DaskProcesses:
 
     def scheduler(self) -> subprocess.Popen[bytes]:
         """Start a scheduler at the address of this cluster."""
-        return self._start("scheduler", "--host", "127.0.0.1", "--port", str(self.port), "--no-dashboard")
+        process = self._start("scheduler", "--host", "127.0.0.1", "--port", str(self.port), "--no-dashboard")
+        wait_for(lambda: self._answers() or process.poll() is not None)
+        return process
+
+    def _answers(self) -> bool:
+        with contextlib.suppress(OSError), socket.create_connection(("127.0.0.1", self.port), 1.0):
+            return True
+        return False
 
     def worker(self, *, path: Path | None = None) -> subprocess.Popen[bytes]:
         """Start a worker without a nanny; `path` is put in front of the folders of its modules."""
