@@ -69,7 +69,7 @@ def keeps_sending(process: subprocess.Popen[str], number: signal.Signals) -> Non
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.study)])
 def test_signals_after_the_answer_do_not_change_the_exit_code(rig: Rig, number: signal.Signals) -> None:
     with started(*rig.words()) as process:
         wait_for_motion(rig, process)

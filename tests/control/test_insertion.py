@@ -64,13 +64,10 @@ def test_every_decision_is_that_of_the_table(stops: bool) -> None:
     turns = [step for step in report.steps if step.action is Action.ROTATE]
     assert len(turns) == report.turns
     assert [step.number for step in report.steps] == list(range(len(report.steps)))
-
-
-@pytest.mark.slow
-def test_the_same_samples_make_the_same_decisions() -> None:
-    first, again = (run_in(a_lab(NOISY, 5)) for _ in range(2))
-    assert first.steps == again.steps
-    assert np.array_equal(first.executed_mm, again.executed_mm)
+    if not stops:  # the same samples make the same decisions
+        again = run_in(a_lab(NOISY, 3), replace(FAST, stops=stops))
+        assert again.steps == report.steps
+        assert np.array_equal(again.executed_mm, report.executed_mm)
 
 
 @pytest.mark.slow
@@ -252,7 +249,7 @@ def test_a_stage_has_one_controller() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", [0, 1, *(pytest.param(seed, marks=pytest.mark.study) for seed in (2, 3))])
 def test_a_pause_anywhere_in_a_step_is_only_a_pause(seed: int) -> None:
     """A needle that was paused just before the end of a step goes on from where it stands."""
     unseen = replace(NOISY, tracker_dropout=0.05, tracker_dropout_s=0.3)

@@ -58,7 +58,7 @@ def recordings(tissue, layer: bool, seed: int, heterogeneity: float = HETEROGENE
 
 @pytest.mark.slow
 @pytest.mark.parametrize("tissue", [rough, smooth])
-@pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.study)])
 def test_the_kind_of_the_tissue_is_found_and_no_effect_is_named(tissue, seed):
     found = diagnose(BASE, recordings(tissue, layer=False, seed=seed), library=LIBRARY)
     assert found.verdict in (Verdict.NONE, Verdict.UNDERPOWERED)
@@ -77,7 +77,7 @@ def test_homogeneous_tissue_needs_next_to_no_functions_of_the_depth():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.study)])
 def test_a_layer_is_seen_in_smooth_tissue(seed):
     found = diagnose(BASE, recordings(smooth, layer=True, seed=seed), library=LIBRARY)
     assert found.names == ("cutting_layer",)

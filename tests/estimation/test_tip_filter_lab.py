@@ -90,7 +90,7 @@ def mean(values: list[float]) -> float:
     return float(np.mean(values))
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_deviations_are_honest_and_the_arc_beats_the_line() -> None:
     found = watched(range(3))
     assert mean([each.nis for each in found]) == pytest.approx(5, abs=0.3)

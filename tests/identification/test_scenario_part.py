@@ -61,9 +61,10 @@ def test_the_radius_and_the_noise_of_a_wandering_heading_are_found_again() -> No
     ("step_mm", "noise_step_deg", "headings"),
     [
         (3.0, 2.0, 40),
-        pytest.param(None, None, 72, marks=pytest.mark.slow),
-        pytest.param(2.0, None, 120, marks=pytest.mark.slow),
-        pytest.param(None, 1.5, 60, marks=pytest.mark.slow),
+        *(
+            pytest.param(*each, marks=pytest.mark.study)
+            for each in ((None, None, 72), (2.0, None, 120), (None, 1.5, 60))
+        ),
     ],
 )
 def test_executions_of_the_plan_scatter_like_the_insertions(

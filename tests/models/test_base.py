@@ -92,8 +92,8 @@ def test_a_fit_finds_what_made_the_data() -> None:
     assert found.rmse < 1e-6
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("correlated", [False, pytest.param(True, marks=pytest.mark.study)])
+@pytest.mark.study
+@pytest.mark.parametrize("correlated", [False, True])
 def test_intervals_hold_the_truth_as_often_as_they_say(correlated: bool) -> None:
     truth = Lag(0.2, 0.4, -0.05)
     held, count = np.zeros(3), 200 if correlated else 100

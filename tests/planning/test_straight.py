@@ -92,7 +92,7 @@ def test_it_never_costs_more_and_is_used_where_it_pays() -> None:
     np.testing.assert_allclose(dear.values, plain.values, atol=slack)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_predictions_hold_for_executions() -> None:
     table = npl.plan(passage())
     random = np.random.default_rng(4)

@@ -58,7 +58,7 @@ def test_arcs_that_meet_an_obstacle_are_those_of_shapely(shape: dict[str, Any]) 
     outcomes = npl.plan(scenario).lattice.outcomes()
     region = obstacle.region()
     random = np.random.default_rng(1)
-    rows = [random.integers(0, size, 3000) for size in outcomes.shape]
+    rows = [random.integers(0, size, 1000) for size in outcomes.shape]
     turned = np.linspace(0, 2 * np.pi / 30, 401)
     compared = 0
     for i, j, k, b in zip(*(each.tolist() for each in rows), strict=True):
@@ -71,7 +71,7 @@ def test_arcs_that_meet_an_obstacle_are_those_of_shapely(shape: dict[str, Any]) 
         if code in (0, 2) and (apart > 0.01 or arc.intersection(region).length > 0.01):
             compared += 1
             assert (code == 2) == (apart == 0), (i, j, k, b)
-    assert compared > 1500
+    assert compared > 500
 
 
 @pytest.mark.parametrize("shape", SHAPES)

@@ -328,6 +328,7 @@ def test_two_values_in_a_list_have_a_straight_line() -> None:
     assert found.effect == pytest.approx(0.6)
 
 
+@pytest.mark.study
 def test_the_share_by_chance_is_the_mean_share_of_a_parameter_without_effect() -> None:
     random = np.random.default_rng(11)
     parameters = [SweptParameter(f"k.{name}", low=0.0, high=1.0) for name in "ab"]

@@ -184,7 +184,9 @@ def test_after_every_single_sequence_too() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", range(300))
+@pytest.mark.parametrize(
+    "seed", [*range(60), *(pytest.param(seed, marks=pytest.mark.study) for seed in range(60, 300))]
+)
 def test_after_long_random_sequences_too(seed: int) -> None:
     draw, bench = Random(seed), ObedientBench()
     bench.enabled()

@@ -145,21 +145,22 @@ def test_parts_of_the_gap_have_shares_and_the_limits_are_those_of_a_name(strong:
     assert 0 < limit.amplitude < STRONG
 
 
-@pytest.fixture
-def folder(tmp_path: Path) -> Path:
+@pytest.mark.slow
+def test_the_command_writes_all_files_and_the_model_predicts_a_further_trial(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     ModelFile(BASE).write(tmp_path / "base.toml")
     write_records(recordings({"viscous": {"size": STRONG}}, seed=1), tmp_path / "data.csv")
-    return tmp_path
-
-
-@pytest.mark.slow
-def test_the_corrected_model_is_written_and_predicts_a_further_trial(folder: Path) -> None:
-    arguments = ["diagnose", str(folder / "base.toml"), str(folder / "data.csv"), "-o", str(folder / "out")]
-    assert main(arguments) == 0
-    file = ModelFile.read(folder / "out" / "model.toml")
+    out = tmp_path / "out"
+    assert main(["diagnose", str(tmp_path / "base.toml"), str(tmp_path / "data.csv"), "-o", str(out), "--verbose"]) == 0
+    assert capsys.readouterr().out.splitlines()[2].startswith("named: viscous: ")
+    written = {each.name for each in out.iterdir()}
+    assert written == {"diagnosis.json", "report.html", "traces.h5", "model.toml"}
+    assert written < set(FILES)
+    file, document = ModelFile.read(out / "model.toml"), json.loads((out / "diagnosis.json").read_text())
+    assert document["source"]["data"] == [str(tmp_path / "data.csv")]
     added = file.model.effects[0]
     assert (added.name, added.estimates["size"].low < STRONG < added.estimates["size"].high) == ("viscous", True)
-    document = json.loads((folder / "out" / "diagnosis.json").read_text())
     assert added.found_by == document["digest"]
     truth = effect_named("viscous").apply(file.model.base, {"size": STRONG})
     path = lspb([-2, 50, 20, -2], [3, 12, 9], rate_hz=50.0)
@@ -177,16 +178,3 @@ def test_a_diagnosis_without_a_name_removes_what_an_earlier_one_wrote(weak: Diag
     assert not (tmp_path / "next_motion_2.toml").exists()
     write_folder(weak, ModelFile(BASE), FEW, str(tmp_path), merge_anyway=True)
     assert (tmp_path / "model.toml").exists() == bool(weak.likely)
-
-
-@pytest.mark.slow
-def test_the_command_writes_all_files(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    arguments = ["diagnose", str(folder / "base.toml"), str(folder / "data.csv"), "-o", str(folder / "out")]
-    assert main([*arguments, "--verbose"]) == 0
-    shown = capsys.readouterr().out
-    assert shown.splitlines()[2].startswith("named: viscous: ")
-    written = {each.name for each in (folder / "out").iterdir()}
-    assert written == {"diagnosis.json", "report.html", "traces.h5", "model.toml"}
-    assert written < set(FILES)
-    source = json.loads((folder / "out" / "diagnosis.json").read_text())["source"]
-    assert source["data"] == [str(folder / "data.csv")]
