@@ -83,13 +83,6 @@ def default(field: Field[Any]) -> str:
     return f'"{field.default}"' if isinstance(field.default, str) else str(field.default)
 
 
-def test_the_index_lists_every_page() -> None:
-    index = (pages.ROOT / "docs" / "README.md").read_text(encoding="utf-8")
-    listed = set(re.findall(r"\]\(([a-z-]+/[a-z-]+\.md)\)", index))
-    there = {str(each.relative_to(pages.ROOT / "docs")) for each in (pages.ROOT / "docs").glob("*/*.md")}
-    assert listed == there
-
-
 # What `...` may stand for in a printed output: times, secrets, lines that the program leaves out itself, a series, or
 # lines of a table beside those shown.
 ELLIPSES = re.compile(r"\.\.\. s$|#token=\.\.\.|^\.\.\. \d+ more lines|\+ \.\.\.\)|^\.\.\.$")
@@ -100,8 +93,3 @@ def test_printed_outputs_are_real_numbers(page: Path) -> None:
     blocks = re.findall(r"```(?:text|console)\n(.*?)```", page.read_text(encoding="utf-8"), re.DOTALL)
     lines = [line.strip() for block in blocks for line in block.splitlines() if "..." in line]
     assert [line for line in lines if not ELLIPSES.search(line)] == []
-
-
-@pytest.mark.parametrize("page", [*PAGES, *OTHER_PAGES], ids=lambda page: str(page.relative_to(pages.ROOT)))
-def test_3d_has_one_name(page: Path) -> None:
-    assert not re.search(r"\bin space\b", page.read_text(encoding="utf-8"))

@@ -77,22 +77,6 @@ def test_no_file_imports_itself_by_way_of_others(crate: str) -> None:
     TopologicalSorter(graph).prepare()
 
 
-def test_ppvi_can_be_published() -> None:
-    manifest = tomllib.loads((RUST / "ppvi" / "Cargo.toml").read_text())
-    workspace = tomllib.loads((RUST.parent / "Cargo.toml").read_text())["workspace"]["package"]
-    package = workspace | {key: value for key, value in manifest["package"].items() if value != {"workspace": True}}
-    assert {"version", "license", "repository", "rust-version", "description", "readme"} <= package.keys()
-    assert 1 <= len(package["keywords"]) <= 5
-    assert all(re.fullmatch(r"[A-Za-z][\w-]{0,19}", keyword) for keyword in package["keywords"])
-    assert package["categories"]
-    assert package.get("publish", True) is True
-    assert (RUST / "ppvi" / "LICENSE").read_bytes() == (RUST.parent / "LICENSE").read_bytes()
-    assert (RUST / "ppvi" / package["readme"]).is_file()
-    # Nothing of the repository outside the crate is needed to build it.
-    for kind in ("dependencies", "dev-dependencies"):
-        assert not any(isinstance(each, dict) and "path" in each for each in manifest[kind].values())
-
-
 def test_every_unsafe_is_argued() -> None:
     for file in RUST.glob("*/src/**/*.rs"):
         lines = file.read_text().splitlines()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ast
 import json
 import re
 import subprocess
@@ -24,7 +23,6 @@ import links
 import notebooks
 import stage
 import validation
-from contents import sections
 from needleplan.cli.program import make_parser
 from tests import pages
 
@@ -107,14 +105,6 @@ def test_a_notebook_is_kept_without_output_and_its_links_lead_somewhere(file: Pa
     assert all((file.parent / link).is_file() for link in found)
 
 
-def test_the_gallery_has_scenes_with_a_title_and_a_text() -> None:
-    assert len(SCENES) >= 20
-    assert len({scene.name for scene in SCENES}) == len(SCENES)
-    for scene in SCENES:
-        title, rule, gap, *text = str(ast.get_docstring(ast.parse(scene.read_text(encoding="utf-8")))).splitlines()
-        assert (rule, gap, bool(text)) == ("=" * len(title), "", True), scene
-
-
 def test_figures_that_pyplot_does_not_know_are_saved(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     saved = []
     monkeypatch.setattr(figures, "figure_rst", lambda files, _folder: saved.extend(files))
@@ -160,13 +150,6 @@ def test_tables_of_docstrings() -> None:
         r"A \|v\|, `|x|`.", "", "", ".. list-table::", "   :header-rows: 1", "", "   * - a", "     - b", "   * - 1",
         "     - 2", "", "after",
     ]  # fmt: skip
-
-
-def test_the_sections_of_the_list_of_pages() -> None:
-    found = sections((pages.ROOT / "docs" / "README.md").read_text(encoding="utf-8"))
-    assert [each.folder for each in found] == ["tutorials", "notebooks", *stage.SECTIONS[1:]]
-    assert "](../how-to/install.md)" in found[0].text
-    assert sum(len(each.pages) for each in found) == len([*(pages.ROOT / "docs").glob("*/*.md"), *NOTEBOOKS])
 
 
 def test_every_public_name_has_one_place() -> None:

@@ -26,13 +26,14 @@ def run(shell: str, script: str, cwd: Path) -> list[str]:
     return done.stdout.split()
 
 
-@pytest.fixture
-def folder(tmp_path: Path) -> Path:
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    place = tmp_path_factory.mktemp("completion")
     for shell in SHELLS:
-        (tmp_path / f"script.{shell}").write_text(needleplan("completion", shell).stdout)
-    (tmp_path / "vessel.toml").write_text("")
-    (tmp_path / "results").mkdir()
-    return tmp_path
+        (place / f"script.{shell}").write_text(needleplan("completion", shell).stdout)
+    (place / "vessel.toml").write_text("")
+    (place / "results").mkdir()
+    return place
 
 
 def name_of(value: str | set[str]) -> str:
@@ -57,24 +58,21 @@ LINES = [
 ]
 
 
-@pytest.mark.parametrize(("line", "offered", "not_offered"), LINES, ids=name_of)
-def test_bash_completes(line: str, offered: set[str], not_offered: set[str], folder: Path) -> None:
-    script = f"""
+BASH = """
     source script.bash
-    COMP_WORDS=({line}); COMP_CWORD=$((${{#COMP_WORDS[@]}} - 1)); COMP_LINE="{line}"; COMP_POINT=${{#COMP_LINE}}
+    COMP_WORDS=(LINE); COMP_CWORD=$((${#COMP_WORDS[@]} - 1)); COMP_LINE="LINE"; COMP_POINT=${#COMP_LINE}
     function=$(complete -p needleplan | sed 's/.*-F \\([^ ]*\\) .*/\\1/')
     COMPREPLY=()
-    "$function" needleplan "${{COMP_WORDS[COMP_CWORD]}}" "${{COMP_WORDS[COMP_CWORD-1]}}" 2>/dev/null || true
-    printf '%s\\n' "${{COMPREPLY[@]}}"
-    """
-    words = {word.rstrip("/") for word in run("bash", script, folder)}
-    assert offered <= words
-    assert not not_offered & words
+    "$function" needleplan "${COMP_WORDS[COMP_CWORD]}" "${COMP_WORDS[COMP_CWORD-1]}" 2>/dev/null || true
+    printf '%s\\n' "${COMPREPLY[@]}"
+"""
+SCRIPTS = {"bash": BASH, "fish": "source script.fish; complete -C 'LINE'"}
 
 
+@pytest.mark.parametrize("shell", SCRIPTS)
 @pytest.mark.parametrize(("line", "offered", "not_offered"), LINES, ids=name_of)
-def test_fish_completes(line: str, offered: set[str], not_offered: set[str], folder: Path) -> None:
-    words = {word.rstrip("/") for word in run("fish", f"source script.fish; complete -C '{line}'", folder)}
+def test_a_shell_completes(shell: str, line: str, offered: set[str], not_offered: set[str], folder: Path) -> None:
+    words = {word.rstrip("/") for word in run(shell, SCRIPTS[shell].replace("LINE", line), folder)}
     assert offered <= words
     assert not not_offered & words
 

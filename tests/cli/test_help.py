@@ -52,13 +52,6 @@ def test_the_help_names_every_default() -> None:
                 assert "default: " in str(action.help), (command, action.option_strings)
 
 
-def test_values_in_brackets_at_the_end_of_a_help_say_that_they_are_defaults() -> None:
-    for command, parser in COMMANDS.items():
-        for action in parser._actions:
-            for inside in re.findall(r"\((-?[0-9][^()]*|left|pty|sim://)\)", str(action.help)):
-                raise AssertionError(f"{command} {action.option_strings}: ({inside})")
-
-
 def test_the_options_of_insert_stand_in_groups() -> None:
     shown = needleplan("insert", "--help").stdout
     titles = re.findall(r"^(\w[^\n]*):$", shown, re.MULTILINE)

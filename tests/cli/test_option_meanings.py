@@ -27,10 +27,6 @@ def uses() -> dict[str, dict[str, argparse.Action]]:
 USES = uses()
 
 
-def test_many_options_are_shared() -> None:
-    assert {"--force", "--output", "--needle", "--scenario", "--robot", "--table", "--speed"} <= set(USES)
-
-
 @pytest.mark.parametrize("option", USES)
 def test_an_option_has_the_same_value_everywhere(option: str) -> None:
     actions = USES[option].values()

@@ -47,7 +47,7 @@ def environment(folder: Path, *packages: object) -> Path:
 @pytest.fixture(scope="module")
 def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("packaging")
-    maturin = Path(sys.executable).parent / "maturin"  # of scripts/install
+    maturin = Path(sys.executable).parent / "maturin"
     if not maturin.exists():
         if os.environ.get("CI") == "true":
             pytest.fail("maturin is missing")

@@ -1,38 +1,23 @@
-"""The oracle against paper and pencil, against a second reading of the definition, and against reference solutions.
-
-NEEDLEPLAN_ORACLE=1 adds the checks that need several full solves of 1.2 million states (three to five minutes).
-"""
+"""The oracle against paper and pencil."""
 
 import math
-import os
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
-import shapely
 from oracle_arc import (
-    COLLISION,
-    FREE,
     GOES_ON,
-    OBSTACLE,
-    Problem,
     follow_arc,
     follow_pieces,
     heading_spread,
-    nearest_index,
     problem_from,
 )
-from oracle_cases import NPZ_NAME, VARIANTS, case, four_obstacles, mirrored, npz_path, with_straight
-from oracle_mdp import Mdp, Solution, build, explicit, solve
+from oracle_cases import case, with_straight
+from oracle_mdp import Mdp, Solution, build, solve
 from oracle_rollout import rollout
 
 STEP = math.pi / 2  # rho = 1, four headings: quarter circles that end exactly on the grid
 CORNERS = ([[0, 1.9], [0.1, 1.9], [0.1, 2], [0, 2]], [[2, 0], [2, 0.1], [1.9, 0.1], [1.9, 0]])
-
-full_solves = pytest.mark.skipif(
-    not os.environ.get("NEEDLEPLAN_ORACLE"), reason="several full solves: set NEEDLEPLAN_ORACLE=1"
-)
 
 
 def solved(scenario: dict[str, Any], residual: float = 1e-11) -> tuple[Mdp, Solution]:
@@ -220,110 +205,3 @@ def test_the_spread_has_the_mean_of_the_turn_and_the_variance_of_the_noise(
     wanted = 2 * sum(each * (m * eta) ** 2 for m, each in enumerate(noise))
     least = (turn - math.floor(turn)) * (math.ceil(turn) - turn)
     assert p @ (headings - turn) ** 2 == pytest.approx(max(wanted, least))
-
-
-def second_reading(problem: Problem, i: int, j: int, k: int, b: int, values: Any) -> list[float]:
-    """Q of one "nearest" state, one number at a time, written from the definition once more."""
-    result = []
-    for action in (0, 1):
-        new, alpha = (b if action == 0 else -b), 2 * math.pi / problem.headings
-        cost = problem.insertion * problem.rho * alpha + (problem.rotation if action else 0.0)
-        over = False
-        for s in range(1, problem.samples + 1):
-            end = k * alpha + new * alpha * s / problem.samples
-            x = i * problem.dx + problem.rho * new * (math.sin(end) - math.sin(k * alpha))
-            y = j * problem.dy - problem.rho * new * (math.cos(end) - math.cos(k * alpha))
-            if not (0 <= x <= problem.width and 0 <= y <= problem.height):
-                cost, over = cost + problem.exit, True
-            elif any(polygon.covers(shapely.Point(x, y)) for polygon in problem.polygons):
-                cost, over = cost + problem.collision, True
-            elif math.dist((x, y), problem.target) <= problem.target_radius:
-                over = True
-            if over:
-                break
-        if not over:
-            i2, j2 = round(x / problem.dx), round(y / problem.dy)
-            point = shapely.Point(i2 * problem.dx, j2 * problem.dy)
-            if any(polygon.covers(point) for polygon in problem.polygons):
-                cost += problem.collision
-            elif math.dist((point.x, point.y), problem.target) > problem.target_radius:
-                for m, p in problem.noise.items():
-                    cost += problem.discount * p * values[i2, j2, (k + new + m) % problem.headings, (new + 1) // 2]
-        result.append(cost)
-    return result
-
-
-@pytest.mark.parametrize("samples", [1, 2, 3, 4])
-@pytest.mark.parametrize("discount", [1.0, 0.95])
-def test_a_second_reading_of_the_definition_agrees(samples: int, discount: float) -> None:
-    mdp, solution = solved(wiggly("nearest", samples, discount))
-    assert mdp.tie_mm > 1e-6
-    for i, j, k, bevel in np.ndindex(*solution.values.shape):
-        if mdp.kind[i, j] == FREE:
-            q = second_reading(mdp.problem, i, j, k, 2 * bevel - 1, solution.values)
-            assert q == pytest.approx(solution.q[i, j, k, bevel], abs=1e-9)
-            assert min(q) == pytest.approx(solution.values[i, j, k, bevel], abs=1e-9)
-
-
-@pytest.mark.parametrize("share", [None, 0.0, 0.3])
-def test_explicit_arrays_describe_the_same_chain(share: float | None) -> None:
-    scenario = wiggly("nearest")
-    mdp, solution = solved(scenario if share is None else with_straight(scenario, share, 0.8))
-    assert np.any(solution.policy == 2) == (share is not None)
-    successor, probability, cost = explicit(mdp)
-    values = np.append(solution.values.ravel(), 0.0)  # the last entry is read by successor -1: over
-    q = cost + np.sum(values[successor] * probability, axis=-1)
-    np.testing.assert_allclose(q.min(axis=1), values[:-1], atol=1e-9)
-
-
-@pytest.mark.parametrize("transition", ["nearest", "interpolated"])
-def test_mirrored_scenario_has_the_mirrored_table(transition: str) -> None:
-    scenario = wiggly(transition)
-    (_, one), (_, other) = solved(scenario), solved(mirrored(scenario))
-    back = np.roll(other.values[:, ::-1, ::-1, ::-1], 1, axis=2)  # heading k -> -k mod 9, bevel -> -bevel
-    np.testing.assert_allclose(one.values, back, atol=1e-8)
-
-
-def reference() -> Any:
-    path = npz_path()
-    if path is None:
-        pytest.skip(f"{NPZ_NAME} is not here: set NEEDLEPLAN_SHARED to the folder that holds it")
-    return np.load(path)
-
-
-@pytest.mark.study
-@pytest.mark.parametrize("variant", ["success_arc4", *(pytest.param(v, marks=full_solves) for v in VARIANTS[:2])])
-def test_the_sampled_reference_solutions(variant: str) -> None:
-    data = reference()
-    _, solution = solved(four_obstacles(variant), residual=1e-9)
-    at = tuple(data[f"{variant}_state"].T.astype(int))
-    gap = data[f"{variant}_action_gap"]
-    np.testing.assert_allclose(solution.values[at], data[f"{variant}_value"], atol=1e-6, rtol=0)
-    np.testing.assert_allclose(solution.gap[at], gap, atol=1e-6, rtol=0)
-    np.testing.assert_allclose(solution.success[at], data[f"{variant}_success"], atol=1e-6, rtol=0)
-    assert np.array_equal(solution.policy[at][gap > 1e-9], data[f"{variant}_policy"][gap > 1e-9])
-
-
-@full_solves
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("transition", "landing", "published"),
-    [
-        ("nearest", False, (1113, 4217, 5550, 1635, 2639)),
-        ("interpolated", True, (1341, 5269, 6539, 1681, 3847)),  # see below
-        ("interpolated", False, (1316, 5193, 6469, 1641, 3773)),  # ours: the corners' values only
-    ],
-)
-def test_the_predictions_from_five_entries(transition: str, landing: bool, published: tuple[int, ...]) -> None:
-    """The published interpolated figures also count landing nearest to an obstacle point as a collision."""
-    mdp = build(problem_from(four_obstacles("success_arc4", transition, collision=20000.0)))
-    problem = mdp.problem
-    if landing:
-        axes = [np.arange(n) * d for n, d in ((problem.nx, 1.0), (problem.ny, 1.0), (60, problem.alpha))]
-        _, x, y = follow_arc(problem, *np.meshgrid(*axes, np.array((-1, 1)), indexing="ij"))
-        i, j = np.clip(nearest_index(x, 1.0), 0, problem.nx - 1), np.clip(nearest_index(y, 1.0), 0, problem.ny - 1)
-        hit = (mdp.ending == GOES_ON) & (mdp.kind[i, j] == OBSTACLE)
-        mdp = replace(mdp, ending=np.where(hit, COLLISION, mdp.ending))
-    values = solve(mdp, 1e-6).values
-    entries = ((40, 0), (60, -18), (45, 18), (35, -18), (50, 0))
-    assert tuple(round(values[0, y, degrees // 6 % 60].min()) for y, degrees in entries) == published

@@ -2,41 +2,13 @@
 
 from __future__ import annotations
 
-import ast
-from collections.abc import Iterator
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
 
 from needleplan.reports.comparison import Agreement, Comparison, Evidence, by_evidence
 from needleplan_thesis.chapter2.parameters import forward
 from needleplan_thesis.citations import cited
-
-THESIS = Path(__file__).parents[2] / "python" / "needleplan_thesis"
-
-
-def calls() -> Iterator[tuple[str, ast.Call]]:
-    for file in sorted(THESIS.rglob("*.py")):
-        for node in ast.walk(ast.parse(file.read_text())):
-            if isinstance(node, ast.Call) and ast.unparse(node.func) in ("Comparison", "measured"):
-                yield f"{file.relative_to(THESIS)}:{node.lineno}", node
-
-
-def test_every_call_names_a_kind_and_compares_two_things() -> None:
-    found = list(calls())
-    assert len(found) > 80
-    for place, call in found:
-        assert "kind" in {each.arg for each in call.keywords}, place
-        published, ours = call.args[1:3]
-        if not (isinstance(published, ast.Constant) and published.value is None):
-            assert ast.dump(published) != ast.dump(ours), f"{place} compares a value with itself"
-            assert not (isinstance(ours, ast.Constant) and ours.value is not None), f"{place}: the result is a constant"
-
-
-def test_a_kind_is_required() -> None:
-    with pytest.raises(TypeError, match="kind"):
-        Comparison("a/b/c", 1.0, 2.0, "", Agreement.DIFFERS)  # type: ignore[call-arg]
 
 
 @pytest.mark.parametrize(
