@@ -112,12 +112,6 @@ def noise_record(seed: int, seconds: float = NOISE_SECONDS) -> Trial:
     return _trial("noise", Role.NOISE, still, _noise(rng, len(still.depth_mm) // EVERY))
 
 
-def contribution_n(spec: ForceSpec, effect: Effect, others: Sequence[Effect] = ()) -> Array:
-    """What the effect adds to the training trials' force (samples, R): after the filter, before noise and quantum."""
-    trials = _training(spec)
-    return _force_n(trials, (*others, effect)) - _force_n(trials, tuple(others))
-
-
 def _sized(spec: ForceSpec) -> tuple[tuple[Effect, ...], tuple[Array, ...]]:
     """The effects of a specification with their sizes found, and what each adds in N, the others being there."""
     if not spec.effects:

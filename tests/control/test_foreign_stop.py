@@ -270,7 +270,7 @@ def test_a_bystander_confirms_only_rest(character: Character, speed_mm_s: float)
     robot = ForeignRobot(character)
     robot.begin(100.0, speed_mm_s)
     with RobotServer(robot) as server:  # type: ignore[arg-type]
-        outcome = stop(server.host, server.port, 10.0 if character.is_honest or character.late_s else 0.7)
+        outcome = stop(server.host, server.port, 60.0 if character.is_honest or character.late_s else 0.7)
         is_moving = robot.moves
     assert outcome.is_confirmed == (character.is_honest or bool(character.late_s))
     assert not (outcome.is_confirmed and is_moving)

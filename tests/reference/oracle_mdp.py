@@ -234,29 +234,3 @@ def solve(mdp: Mdp, residual: float = 1e-10, max_sweeps: int = 100_000) -> Solut
     np.subtract(ordered[..., 1], ordered[..., 0], out=gap, where=free & finite)
     values = np.where(finite, values, np.inf)
     return Solution(values, policy, gap, success_of(mdp, policy), q, change, sweeps)
-
-
-def explicit(mdp: Mdp) -> tuple[Ints, Floats, Floats]:
-    """The "nearest" chain as arrays: successors [n, actions, taps] (-1: over), probabilities [actions, taps], costs.
-
-    States are numbered in C order of [x, y, heading, bevel]; rows of absorbing points are all -1, with cost 0.
-    """
-    problem = mdp.problem
-    shape = mdp.ending.shape
-    k, bevel = np.arange(problem.headings)[:, None], np.array((0, 1))[None, :]
-    free = (mdp.kind == FREE)[:, :, None, None]
-    actions = [mdp, mdp] if mdp.straight is None else [mdp, mdp, mdp.straight]
-    successor = np.full((*shape, len(actions), max(len(steps.spread) for steps in actions)), -1, dtype=np.int64)
-    cost, probability = np.zeros((*shape, len(actions))), np.zeros(successor.shape[-2:])
-    for action, steps in enumerate(actions):
-        new = 1 - bevel if action == 1 else bevel
-        failure = np.array([0.0, problem.exit, problem.collision, 0.0])[steps.ending]
-        ending, cell, over = steps.ending[:, :, k, new], steps.corner[:, :, k, new, 0], failure[:, :, k, new]
-        cost[..., action] = np.where(free, steps.insertion + (action == 1) * problem.rotation + over, 0.0)
-        for tap, (headings, p) in enumerate(steps.spread.items()):
-            heading = (k + np.array(BEVELS)[new] * headings) % problem.headings
-            state = (cell * problem.headings + heading) * 2 + new
-            successor[..., action, tap] = np.where(free & (ending == GOES_ON), state, -1)
-            probability[action, tap] = p
-    n = int(np.prod(shape))
-    return successor.reshape(n, *probability.shape), probability, cost.reshape(n, -1)

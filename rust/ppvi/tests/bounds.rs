@@ -15,7 +15,7 @@ use ppvi::{
 };
 
 /// Cases of each kind of problem in the fast set.
-const FEW: u64 = 100;
+const FEW: u64 = 40;
 
 /// Cases of each kind of problem in the slow set, half a minute's work; `PPVI_BOUND_CASES=3400` with `--release` repeats the
 /// longer study.

@@ -111,19 +111,28 @@ def test_a_read_without_a_sample_is_no_fault(monkeypatch: pytest.MonkeyPatch) ->
     assert guard.state.operating is OperatingState.ENABLED
 
 
-def test_a_depth_that_drifts_while_the_base_rotates_is_a_fault() -> None:
-    """The stage says that it moves, which is true of the roll; the depth has no command."""
+@pytest.mark.parametrize(
+    ("order", "commanded", "other", "jump"),
+    [("rotate", "roll_rad", "depth_mm", 0.6), ("insert", "depth_mm", "roll_rad", 0.25)],
+)
+def test_what_has_no_command_and_drifts_during_a_motion_is_a_fault(
+    order: str, commanded: str, other: str, jump: float
+) -> None:
+    """The stage says that it moves, which is true of one axis; the other has no command."""
     bench = Bench()
     guard = bench.enabled()
-    guard.rotate(20.0, 5.0)
+    getattr(guard, order)(20.0, 5.0)
     bench.stage.moving = True
-    for _ in range(200):
-        bench.stage.roll_rad += 5.0 * 0.005
+
+    def turn() -> None:
+        setattr(bench.stage, commanded, getattr(bench.stage, commanded) + 5.0 * 0.005)
         bench.turn()
+
+    for _ in range(200):
+        turn()
     assert guard.state.operating is OperatingState.ENABLED
-    bench.stage.depth_mm += 0.6
-    bench.stage.roll_rad += 5.0 * 0.005
-    bench.turn()
+    setattr(bench.stage, other, getattr(bench.stage, other) + jump)
+    turn()
     assert guard.state.first == {Cause.WRONG_WAY}
 
 
@@ -272,22 +281,6 @@ def test_a_place_of_rest_is_known_after_the_time_to_come_to_rest() -> None:
     assert (at_end.rest_mm, at_end.rest_rad) == (None, None)
     after = at_end.then(replace(STAGE, stamp=Stamp(501_000_000, 3)), limits)
     assert (after.rest_mm, after.rest_rad) == (10.0, 0.0)
-
-
-def test_a_roll_that_drifts_during_an_insertion_is_a_fault() -> None:
-    """The stage says that it moves, which is true of the depth; the roll has no command."""
-    bench = Bench()
-    guard = bench.enabled()
-    guard.insert(20.0, 5.0)
-    bench.stage.moving = True
-    for _ in range(200):
-        bench.stage.depth_mm += 5.0 * 0.005
-        bench.turn()
-    assert guard.state.operating is OperatingState.ENABLED
-    bench.stage.roll_rad += 0.25
-    bench.stage.depth_mm += 5.0 * 0.005
-    bench.turn()
-    assert guard.state.first == {Cause.WRONG_WAY}
 
 
 def test_no_place_of_rest_is_taken_from_a_stage_that_still_moves() -> None:

@@ -14,7 +14,6 @@ from tests.control.faults.robot_faults import BORNE, SERIOUS
 from tests.control.faults.sensors import RUNNING, STARTING
 
 SAFETY = (pages.ROOT / "docs/reference/safety.md").read_text()
-FAULTS = (pages.ROOT / "docs/reference/faults.md").read_text()
 
 
 def rows(text: str) -> list[list[str]]:
@@ -65,12 +64,6 @@ def test_every_fault_has_a_test_that_is_there() -> None:
         assert fault["tests"], fault
         for name, _, test in (each.partition("::") for each in fault["tests"].split()):
             assert f"def {test}(" in pages.test_file(name).read_text(), (name, test)
-
-
-def test_every_test_file_of_the_page_is_there() -> None:
-    named = [each for cells in rows(FAULTS) if len(cells) == 3 for each in re.findall(r"`(\w+/\w+)`", cells[2])]
-    assert len(named) > 10
-    assert all(pages.test_file(name).exists() for name in named)
 
 
 def test_every_injected_fault_ends_as_the_table_says() -> None:
