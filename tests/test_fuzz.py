@@ -16,7 +16,9 @@ MEMORY_MB = 2048
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("target", RUNS)
+@pytest.mark.parametrize(
+    "target", [name if name in ("robot", "igtl") else pytest.param(name, marks=pytest.mark.study) for name in RUNS]
+)
 def test_no_input_gives_anything_but_a_value_or_its_error(target: str, tmp_path: Path) -> None:
     pytest.importorskip("atheris", reason="the fuzzer is installed with the tests on Linux only")
     resource = pytest.importorskip("resource", reason="not on Windows")

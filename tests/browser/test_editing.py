@@ -198,6 +198,7 @@ radius_mm = 4
 """
 
 
+@pytest.mark.study
 def test_tissues_holes_and_layers_are_dragged(browser: Browser) -> None:
     scenario = npl.Scenario.from_toml(SMALL + TISSUES)
     with served(scenario) as server, opened(browser, server) as page:

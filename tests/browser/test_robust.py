@@ -116,6 +116,7 @@ def test_kept_rubbish_does_no_harm(page: Page) -> None:
     assert label(page, "target") == "Target, x 50 mm, y 25 mm"
 
 
+@pytest.mark.study
 def test_an_obstacle_with_thousands_of_corners(browser: Browser, small: npl.Scenario) -> None:
     """Segmented organs have many corners; only the body of such an obstacle has a handle."""
     turns = np.linspace(0, 2 * np.pi, 4000, endpoint=False)

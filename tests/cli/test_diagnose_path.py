@@ -73,7 +73,7 @@ def test_what_was_diagnosed_is_planned_estimated_and_simulated(
     assert deep / shallow == pytest.approx(1.6, abs=0.2)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_without_a_name_the_scenario_has_the_calibrated_curvature(
     folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -114,7 +114,7 @@ def test_a_tracker_that_wanders_and_loses_sight() -> None:
     assert mean([each.nees for each in untold]) > 2 * mean([each.nees for each in found])
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_a_needle_that_twists_is_seen_to() -> None:
     found = watched(range(2), torsional_friction_n=0.3)
     assert mean([each.nis for each in found]) == pytest.approx(5, abs=0.4)

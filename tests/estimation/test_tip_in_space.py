@@ -95,7 +95,7 @@ def test_the_estimate_turns_with_the_scene(degrees: tuple[float, float, float]) 
     assert sizes[0] == pytest.approx(sizes[1], rel=0.1)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_the_estimate_is_as_good_as_it_says() -> None:
     """Normalised errors of 12 insertions with a tip noise as large as the filter assumes."""
     apart, aside = [], []

@@ -93,7 +93,7 @@ def test_one_zero_each_way_is_no_test() -> None:
     assert "cannot be tested" in agreement.says
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_the_deviation_of_the_lag_is_that_of_repeated_fits() -> None:
     records = [recorded(TRUTH, seed=seed) for seed in range(8)]
     motion = sinusoid(offset_mm=126, amplitude_mm=40, frequency_hz=0.1, cycles=2.5, rate_hz=50)

@@ -29,7 +29,7 @@ def test_no_interleaving_breaks_an_invariant() -> None:
     assert 10 <= found.depth < 100  # the search ended because nothing new was left
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_nor_do_two_causes_at_once() -> None:
     found = explore(together=2)
     assert found.mistakes == {}

@@ -18,7 +18,7 @@ def path(rate_hz: float) -> Motion:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("lag_s", [0.02, 0.3, 2.0])
+@pytest.mark.parametrize("lag_s", [0.3, *(pytest.param(lag, marks=pytest.mark.study) for lag in (0.02, 2.0))])
 @pytest.mark.parametrize("growth", [0.0, 0.7])
 @pytest.mark.parametrize("inner", [BASE, SlowTurning(base=BASE, size=0.3)], ids=["plain", "slow"])
 def test_it_is_its_rates_integrated(inner: ShaftAndTip | SlowTurning, growth: float, lag_s: float) -> None:
