@@ -270,8 +270,8 @@ def _best_sampling(model: Model, recordings: Sequence[Record], settings: Setting
             calibration = calibrate(model, checked.training, checked.held_out, noise, checked.references)
     own = calibration.trials
     problem = Problem(calibration, own, settings, _noise_freedom(checked, calibration.noise))
-    start = fit_hypothesis(problem, calibration.effects, own, most_steps=0, sought=False)
-    empty = fit_hypothesis(problem, start.effects, start.trials, most_steps=EMPTY_STEPS, like=start, sought=False)
+    start = fit_hypothesis(problem, calibration.effects, own, most_steps=0)
+    empty = fit_hypothesis(problem, start.effects, start.trials, most_steps=EMPTY_STEPS, like=start)
     # With effects the tissue is no more heterogeneous than the data permit where no effect explains anything.
     largest_sd = float(max(empty.problem.sds[empty.levels].max(), HETEROGENEITY_SDS[1]))
     problem = empty.problem.up_to(largest_sd)
