@@ -27,6 +27,7 @@ __all__ = [
     "json_values",
     "move_into_place",
     "read_key",
+    "relative_path",
     "remove_unfinished",
     "require_different",
     "require_folder",
@@ -59,6 +60,8 @@ class Parent:
         Name that a report shows, such as the name of a file or trial.
     digest : str
         Digest of the artefact, as `digest` returns it; empty if unknown.
+    file : str
+        Path of the artefact, relative to the folder of the file that names it; empty if unknown.
 
     Examples
     --------
@@ -69,8 +72,18 @@ class Parent:
 
     name: str
     digest: str
+    file: str = ""
 
     _repr_html_ = short_html
+
+
+def relative_path(file: str | os.PathLike[str], folder: str | os.PathLike[str]) -> str:
+    """Return the path of a file relative to a folder, with slashes; the whole path if they are on different drives."""
+    whole = Path(file).resolve()
+    try:
+        return Path(os.path.relpath(whole, Path(folder).resolve())).as_posix()
+    except ValueError:
+        return whole.as_posix()
 
 
 def digest(content: str | bytes | memoryview) -> str:
