@@ -27,7 +27,6 @@ __all__ = [
     "json_values",
     "move_into_place",
     "read_key",
-    "relative_path",
     "remove_unfinished",
     "require_different",
     "require_folder",
@@ -75,15 +74,6 @@ class Parent:
     file: str = ""
 
     _repr_html_ = short_html
-
-
-def relative_path(file: str | os.PathLike[str], folder: str | os.PathLike[str]) -> str:
-    """Return the path of a file relative to a folder, with slashes; the whole path if they are on different drives."""
-    whole = Path(file).resolve()
-    try:
-        return Path(os.path.relpath(whole, Path(folder).resolve())).as_posix()
-    except ValueError:
-        return whole.as_posix()
 
 
 def digest(content: str | bytes | memoryview) -> str:

@@ -31,13 +31,13 @@ def contenders(starts: Sequence[FittedEffect], parent: Hypothesis) -> list[Fitte
     first, reach = starts[0], parent.problem.reach
     if not first.effect.nearby(first.in_trial(0).values, reach, 1.0):
         return [first]
-    several = not is_proportional(first.effect, parent)
+    several = not _is_proportional(first.effect, parent)
     apart = [_refined(start, NEIGHBOURHOODS[:1], parent) for start in (starts if several else starts[:CONTENDERS])]
     best = sorted(apart, key=lambda pair: -pair[0])[: CONTENDERS if several else 1]
     return [_refined(point, NEIGHBOURHOODS[1:], parent)[1] for _, point in best]
 
 
-def is_proportional(effect: Effect, parent: Hypothesis) -> bool:
+def _is_proportional(effect: Effect, parent: Hypothesis) -> bool:
     """Return whether the output of an effect is in proportion to its amplitude, so that its grid states none."""
     return not any(SIZE in point for point in effect.grid(parent.problem.reach))
 
@@ -74,7 +74,7 @@ def _best_point(
         return float(saved.max()), at_points(first, points)
     projected = parent.linear.project(columns, np.array([h]))
     slope, curvature = projected.slope[0], projected.curvature[0]
-    if is_proportional(effect, parent):
+    if _is_proportional(effect, parent):
         what = effect.parameters[SIZE]
         permitted = first.bounds.get(SIZE, (what.lower, what.upper))
         sizes = np.clip(slope / np.maximum(curvature, 1e-300), *permitted)
