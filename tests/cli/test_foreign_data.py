@@ -52,7 +52,7 @@ def test_identify_gives_the_same_from_either_file(folder: Path) -> None:
 def test_diagnose_reads_files_and_their_roles(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     read: list[Record] = []
 
-    def stop(_: ModelFile, records: Sequence[Record], **__: object) -> None:
+    def stop(_: ModelFile, records: Sequence[Record], *__: object, **___: object) -> None:
         read.extend(records)
         raise KeyboardInterrupt
 

@@ -19,7 +19,7 @@ MODEL = Bicycle(1 / 1200, 0.01)
 FILE = ModelFile(
     MODEL,
     {"curvature_per_mm": Estimate(1 / 1200, 2e-5, 7.9e-4, 8.8e-4, "1/mm", True)},
-    (Parent("trial 3", "sha256:00"), Parent('a "quoted" name', "")),
+    (Parent("trial 3", "sha256:00", "../data.csv"), Parent('a "quoted" name', "")),
     ("one remark", "two"),
     "Gel, 18 gauge",
 )

@@ -26,7 +26,7 @@ from needleplan.artifacts.files import (
     whole_file,
     write_whole,
 )
-from needleplan.artifacts.path_text import path_text
+from needleplan.artifacts.path_text import path_text, relative_path
 from needleplan.artifacts.read_files import may_replace, recorded_reads, require_unread, was_read
 from needleplan.artifacts.short_repr import MOST_CHARACTERS, call_repr, short_html, short_repr
 
@@ -49,6 +49,7 @@ __all__ = [
     "present_format",
     "read_key",
     "recorded_reads",
+    "relative_path",
     "require_different",
     "require_folder",
     "require_key",

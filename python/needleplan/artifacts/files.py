@@ -59,6 +59,8 @@ class Parent:
         Name that a report shows, such as the name of a file or trial.
     digest : str
         Digest of the artefact, as `digest` returns it; empty if unknown.
+    file : str
+        Path of the artefact, relative to the folder of the file that names it; empty if unknown.
 
     Examples
     --------
@@ -69,6 +71,7 @@ class Parent:
 
     name: str
     digest: str
+    file: str = ""
 
     _repr_html_ = short_html
 

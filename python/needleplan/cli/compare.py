@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import argparse
 from dataclasses import asdict
+from pathlib import Path
 from typing import Any
 
 from needleplan.cli.answer import print_json, working
 from needleplan.cli.data_options import add_data, naming, read_data
 from needleplan.cli.options import add_answer
 from needleplan.cli.streams import one_line
+from needleplan.errors import InputError, Mistake
 
 __all__ = ["add_to", "run"]
 
@@ -18,12 +20,14 @@ def add_to(commands: Any) -> None:
     """Add this command and its options to the program's parser."""
     parser: argparse.ArgumentParser = commands.add_parser(
         "compare",
-        help="measure how far a model, with its effects and without, is from recordings",
+        help="measure how far a model, with its effects and without, or the claims of a plan are from recordings",
         description="Compare a model with recordings: for each trial the RMS of the gap with all effects of the model "
-        "and without them, the RMS of the noise, and the share of the gap that the effects explain. Writes nothing. "
-        "Exit code 0: the effects make the gap of every trial smaller, or the model has none; 1: not of every trial.",
+        "and without them, the RMS of the noise, and the share of the gap that the effects explain. Or compare a table "
+        "with recordings of insertions: success, curvature, tip noise and plane, as planned and as measured, with 95 % "
+        "intervals. Writes nothing. Exit code 0: the effects make the gap of every trial smaller, or the model has "
+        "none, or all claims of the plan hold; 1: not so.",
     )
-    parser.add_argument("model", metavar="MODEL.toml", help="the model, such as the model.toml of a diagnosis")
+    parser.add_argument("model", metavar="MODEL|TABLE.h5", help="a model file, such as that of a diagnosis, or a table")
     add_data(parser)
     parser.add_argument(
         "--fit", action="store_true",
@@ -35,10 +39,13 @@ def add_to(commands: Any) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Run the command and return the exit code: 0 if the effects make the gap of every trial smaller, else 1."""
-    from needleplan.artifacts import json_values
+    from needleplan.artifacts import FileKind, file_format, json_values
     from needleplan.models import ModelFile
     from needleplan.reports.diagnosis import compare
 
+    known = file_format(options.model) if Path(options.model).is_file() else None
+    if known is not None and known.kind is FileKind.TABLE:
+        return _plan(options)
     with working(options, "comparing"):
         file = ModelFile.read(options.model)
         records = read_data(options)
@@ -56,3 +63,26 @@ def run(options: argparse.Namespace) -> int:
         for line in comparison.lines():
             print(one_line(line))
     return 0 if comparison.ok else 1
+
+
+def _plan(options: argparse.Namespace) -> int:
+    """Compare the claims of a table with recorded insertions. Return 0 if all of them hold, else 1."""
+    from needleplan.artifacts import json_values
+    from needleplan.diagnosis.plan_claims import compare_plan
+    from needleplan.planning import Table
+    from needleplan.recording import Recording
+
+    given = [name for name in ("holdout", "noise", "reference", "columns", "surface", "rate", "frame", "fit")
+             if getattr(options, name)]  # fmt: skip
+    if given:
+        raise InputError([Mistake(f"--{name}", "", "is for models; a table needs recordings alone") for name in given])
+    with working(options, "comparing"):
+        found = compare_plan(Table.read(options.model), [Recording.read(file) for file in options.data])
+    if options.json:
+        claims = [asdict(claim) | {"holds": claim.holds} for claim in found.claims]
+        record = {"table": options.model, "runs": found.runs, "ok": found.ok, "claims": claims}
+        print_json(json_values(record | {"remarks": found.remarks}))
+    else:
+        for line in found.lines():
+            print(one_line(line))
+    return 0 if found.ok else 1

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from needleplan.cli.answer import note, print_first, print_json, working
-from needleplan.cli.data_options import add_data, data_files, naming, read_data
+from needleplan.cli.data_options import add_data, data_files, naming, read_data, read_files
 from needleplan.cli.options import add_answer, add_output, require_free
 from needleplan.cli.parser import whole
 from needleplan.errors import InputError, Mistake
@@ -39,6 +39,14 @@ def add_to(commands: Any) -> None:
     add_data(parser)
     add_output(parser, "DIR", "write the results into this folder", required=True)
     parser.add_argument(
+        "--without-references", action="store_true",
+        help="leave out the recordings from which the model was identified; else they are references, if none is given",
+    )  # fmt: skip
+    parser.add_argument(
+        "--strict", action="store_true",
+        help="stop after the references if these show an effect or another law; three are needed",
+    )  # fmt: skip
+    parser.add_argument(
         "--merge-anyway", action="store_true", help="write model.toml also if the verdict is not `named`"
     )
     parser.add_argument(
@@ -66,6 +74,7 @@ def run(options: argparse.Namespace) -> int:
     from needleplan.artifacts import require_different, require_folder
     from needleplan.diagnosis import Verdict
     from needleplan.diagnosis.data import check_data
+    from needleplan.diagnosis.references import identified_from
     from needleplan.models import ModelFile
     from needleplan.models.effects import register_file
     from needleplan.reports.diagnosis import (
@@ -95,15 +104,20 @@ def run(options: argparse.Namespace) -> int:
     source = DiagnosisSource(
         options.model, tuple(options.data), tuple(options.holdout), tuple(options.noise), tuple(options.columns or ()),
         options.surface, options.rate, options.accept_units, tuple(options.effects), options.frame,
-        tuple(options.reference),
+        tuple(options.reference), options.without_references, options.strict,
     )  # fmt: skip
     with working(options, "reading") as tell:
         file = ModelFile.read(options.model)
         records = read_data(options, lambda read: check_data(read, file.model.channel))
+        if not options.without_references:
+            more, remarks = identified_from(file, records, lambda files: read_files(options, files))
+            records += more
+            for remark in remarks:
+                note(remark)
         if problem := motion_problem(records, file.model):
             note(f"warning: the next motion will have no file: {problem}")
         with naming(options.model):
-            found, model, library = diagnose_records(file, records, progress=tell)
+            found, model, library = diagnose_records(file, records, tell, strict=options.strict)
         tell("choosing the next motion")
         try:
             next_ = next_trials_of(found, options.trials)

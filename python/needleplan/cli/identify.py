@@ -6,6 +6,7 @@ import argparse
 import importlib
 from collections.abc import Iterator
 from dataclasses import asdict
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from needleplan.cli.answer import complain, note, print_first, print_json, working
@@ -71,6 +72,8 @@ def add_to(commands: Any) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Run the command and return the exit code: 0, or 1 if nothing could be identified."""
+    from needleplan.artifacts import digest
+
     known = knowledge(options) | _layers_of(options)
     require_outputs(options, [*data_files(options), options.scenario], options.output, options.scenario_out)
     scenario, library = _scenario(options), require_library(options)
@@ -81,6 +84,8 @@ def run(options: argparse.Namespace) -> int:
         found: Identification = _identifier(options.kind).identify(records, **known)
         file = found.model_file(records)
         if file and options.output:
+            files = {digest(Path(name).read_bytes()): name for name in data_files(options)}
+            file = file.with_files(files, Path(options.output).parent)
             file.write(options.output)
             note(f"wrote {options.output}")
         if options.figure:

@@ -334,13 +334,14 @@ class _PartialParentTable(_ParentTable):
 
     name: str = ruled(Text(100_000), "")
     digest: str = ruled(Text(), "")
+    file: str = ruled(Text(), "")
 
 
 @dataclass(frozen=True)
 class ParentList:
     """Rule for the parents of an artefact: tables `[[parent]]` with the keys `name` and `digest`.
 
-    If `partial`, each of the two keys may be missing and is then stored as an empty text.
+    If `partial`, each of the two keys may be missing and is then stored as an empty text, and `file` is a third one.
     """
 
     partial: bool = False
@@ -351,7 +352,8 @@ class ParentList:
         if entries is not None and all(isinstance(entry, Parent) for entry in entries):
             return tuple(entries)  # type: ignore[arg-type]
         kind = _PartialParentTable if self.partial else _ParentTable
-        return tuple(Parent(each.name, each.digest) for each in TableList(kind).read(value))
+        tables = TableList(kind).read(value)
+        return tuple(Parent(each.name, each.digest, getattr(each, "file", "")) for each in tables)
 
 
 def key_of(of: Field[Any]) -> str:

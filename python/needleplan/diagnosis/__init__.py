@@ -12,7 +12,7 @@ page: docs/explanation/posterior.md. The stages, in the order of the data:
 | evidence of a linear Gaussian model, and the products of one trial | `_evidence`, `_blocks` |
 | errors of single trials, which all hypotheses share | `_problem` |
 | law tolerance of reversal, base and effects | `_reversal`, `_base_law`, `_effect_law` |
-| a set of effects at fitted values, and its evidence | `_hypothesis`, `_tangents`, `_fit` |
+| a set of effects at fitted values, and its evidence | `_hypothesis`, `_tangents`, `_fit`, `_refinement` |
 | nonparametric components | `_components` |
 | search over sets | `_search` |
 | probabilities of all hypotheses, prior | `_posterior` |
@@ -22,6 +22,8 @@ page: docs/explanation/posterior.md. The stages, in the order of the data:
 | where the gap is, curves along an axis | `_gap` |
 | result: estimates, model, held-out shrink, detection limits | `_result` |
 | from recordings to the result | `_diagnose` |
+| recordings from which the model was identified, as references | `references` |
+| claims of a plan beside recorded insertions | `plan_claims` |
 | motions to measure next, by expected information | `_next_motion`, `_programs` |
 
 `isolability` shows which effects the recorded motions can separate.

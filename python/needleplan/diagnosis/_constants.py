@@ -12,7 +12,8 @@ import numpy as np
 
 __all__ = [
     "ACROSS_RATIO", "ALIKE", "AMPLITUDE_SCALES", "BASE_DEPTHS", "BASE_FORCES", "BASE_SPEEDS", "BESIDE",
-    "CALIBRATION_STEPS", "CHANCE", "CHILDREN", "CLOCK_RAD", "CLOCK_S", "CONSTANTS", "CONTENDS", "CONVERGED",
+    "CALIBRATION_STEPS", "CHANCE", "CHILDREN", "CLOCK_RAD", "CLOCK_S", "CONSTANTS", "CONTENDERS", "CONTENDS",
+    "CONVERGED",
     "COORDINATE_STEP", "DAMPING_TRIES", "DELAY_SHARES", "DEVIATES_FROM", "DEVIATES_TO", "DISTORTED", "EARLIEST_S",
     "EDGES_MM", "EDGE_LAW", "EFFECT_DEPTHS", "EFFECT_SPEEDS", "EFFECT_TIMES", "EMPTY_STEPS", "ENTRY_CORRELATION",
     "ENTRY_LEAST", "ENTRY_MODES", "FAR", "FAR_LEVEL", "FEWEST_REFERENCES", "FINER", "FIRST_STEP_S", "FIT_LEVELS",
@@ -237,7 +238,10 @@ INVISIBLE = _one("INVISIBLE", 30.0, "noncentrality", "of the largest amplitude, 
     "no data here could show it")
 IMPOSSIBLE = _one("IMPOSSIBLE", -50.0, "nats", "evidence of an amplitude that is not permitted", "none")
 DISTORTED = _one("DISTORTED", 1, "effects", "beside which others are sought at the given base", "time of computation")
-STARTS = _one("STARTS", 5, "starts", "of an effect with local optima", "time of computation")
+STARTS = _one("STARTS", 20, "starts", "of an effect with local optima, which are refined as linear columns",
+    "more than a breath has frequencies")
+CONTENDERS = _one("CONTENDERS", 5, "starts", "of a nonlinear effect that are linearised with the base free",
+    "time of computation")
 
 # Answer.
 LIKELY = _one("LIKELY", 0.5, "probability", "from which something is more probable than not", "by definition")

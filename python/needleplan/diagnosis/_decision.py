@@ -138,7 +138,7 @@ def decide(
             sure[name] = sure.get(name, 0.0) + each.probability
     best = max(sets, key=lambda names: sets[names])
     likely = tuple(name for name, value in sure.items() if value >= settings.named)
-    rivals = {name: [law for law, nats in laws.items() if _lead(ranked, name) < nats] for name in likely}
+    rivals = {name: [law for law, nats in laws.items() if _lead(ranked, name, best) < nats] for name in likely}
     certain = tuple(name for name in likely if not rivals[name])
     nothing = sum(each.probability for each in ranked if not each.names and each.axis is None)
     by_axis: dict[GapAxis, float] = {}
@@ -194,9 +194,13 @@ def decide(
     return next(decision for applies, decision in rules if applies)
 
 
-def _lead(ranked: Sequence[Ranked], name: str) -> float:
-    """Return the log odds (nats) of all hypotheses with an effect against those without it."""
-    having, lacking = (sum(each.probability for each in ranked if (name in each.names) is its) for its in (True, False))
+def _lead(ranked: Sequence[Ranked], name: str, best: Names) -> float:
+    """Return the log odds (nats) of the hypotheses with an effect against those of the set `best` without it.
+
+    These are what is left if a law of the base takes the place of the effect; another effect is another answer.
+    """
+    having = sum(each.probability for each in ranked if name in each.names)
+    lacking = sum(each.probability for each in ranked if {*each.names} <= {*best} - {name})
     return math.log(max(having, 1e-300)) - math.log(max(lacking, 1e-300))
 
 

@@ -36,6 +36,7 @@ from needleplan.diagnosis._threads import one_thread
 from needleplan.diagnosis.calibration import Calibration, calibrate, calibration_remarks
 from needleplan.diagnosis.catalogue import Library, base_of, require_effects, with_effects
 from needleplan.diagnosis.data import FEWEST_VALUES, CheckedData, check_data, check_needle, sensor_noise
+from needleplan.diagnosis.references import identified_from
 from needleplan.errors import DataError, InputError, Mistake
 from needleplan.extras.progress_bar import progress_bar
 from needleplan.models import Model, ModelFile, simulate
@@ -68,6 +69,8 @@ def diagnose(
     *,
     library: Library | None = None,
     settings: Settings | None = None,
+    references: bool = True,
+    strict: bool = False,
     progress: Callable[[str], None] | bool | None = None,
 ) -> Diagnosis:
     """Find where a model and recordings disagree, and which effects the model lacks.
@@ -88,6 +91,11 @@ def diagnose(
         sensitivities: pass the same library for all data sets of one needle.
     settings
         Constants of model, priors and answers.
+    references
+        Whether the recordings from which a model file was identified are references too, if the file names them and
+        none is given.
+    strict
+        Whether the diagnosis of three and more references alone is the result, if they show an effect or another law.
     progress
         True: show a bar on the terminal or in the notebook. A function is called with the name of each stage when it
         begins.
@@ -141,7 +149,10 @@ def diagnose(
     """
     if isinstance(progress, bool):
         with progress_bar(progress) as show:
-            return diagnose(model, recordings, library=library, settings=settings, progress=show)
+            return diagnose(
+                model, recordings, library=library, settings=settings, references=references, strict=strict,
+                progress=show,
+            )  # fmt: skip
     if progress is not None and not callable(progress):
         rule = "must be a function of a text, True for a bar, or None"
         raise InputError(Mistake("progress", repr(progress), rule), "diagnose")
@@ -154,9 +165,15 @@ def diagnose(
     require_effects(base, library)
     check_data(records, base.channel)  # averaging hides gaps and uneven sampling
     normal_remarks: list[str] = []
+    if references:
+        more, normal_remarks = identified_from(file, records)
+        records = [*records, *more]
     if sum(record.role is Role.REFERENCE for record in records) >= FEWEST_REFERENCES:
         tell("diagnosing the references")
-        first = diagnose(base, _normal(records), library=library, settings=settings)
+        first = diagnose(replace(file, parents=()), _normal(records), library=library, settings=settings)
+        if strict and first.verdict not in (Verdict.NONE, Verdict.UNDERPOWERED):
+            remark = "strict: the references show this alone, and the other recordings were not diagnosed"
+            return replace(first, remarks=(*normal_remarks, remark, *first.remarks))
         base = first.model if first.verdict is Verdict.NAMED else base
         normal_remarks += _of_references(first)
     tell("calibrating the model to the trials")
@@ -270,8 +287,8 @@ def _best_sampling(model: Model, recordings: Sequence[Record], settings: Setting
             calibration = calibrate(model, checked.training, checked.held_out, noise, checked.references)
     own = calibration.trials
     problem = Problem(calibration, own, settings, _noise_freedom(checked, calibration.noise))
-    start = fit_hypothesis(problem, calibration.effects, own, most_steps=0, sought=False)
-    empty = fit_hypothesis(problem, start.effects, start.trials, most_steps=EMPTY_STEPS, like=start, sought=False)
+    start = fit_hypothesis(problem, calibration.effects, own, most_steps=0)
+    empty = fit_hypothesis(problem, start.effects, start.trials, most_steps=EMPTY_STEPS, like=start)
     # With effects the tissue is no more heterogeneous than the data permit where no effect explains anything.
     largest_sd = float(max(empty.problem.sds[empty.levels].max(), HETEROGENEITY_SDS[1]))
     problem = empty.problem.up_to(largest_sd)

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 
 import numpy as np
 
 from needleplan.diagnosis._base_law import LAW_COUNTS, Law, base_forces, full_cutting, law_columns, law_functions
-from needleplan.diagnosis._blocks import Indices
 from needleplan.diagnosis._constants import (
     CONTENDS,
     CONVERGED,
@@ -21,28 +20,24 @@ from needleplan.diagnosis._constants import (
     LONGEST,
     LONGEST_LAG_S,
     MOST_STEPS,
-    NEIGHBOURHOODS,
     PRIOR_SD,
     SHORTEST,
 )
-from needleplan.diagnosis._evidence import Columns, LinearModel
 from needleplan.diagnosis._hypothesis import Extra, Hypothesis
 from needleplan.diagnosis._problem import Problem
 from needleplan.diagnosis._reversal import blended, tip_reversal
-from needleplan.diagnosis._tangents import in_trial, is_added, shifted, unblended
+from needleplan.diagnosis._tangents import in_trial, is_added, shifted
 from needleplan.diagnosis.calibration import CalibratedTrial, calibrate_trial
 from needleplan.diagnosis.catalogue import FittedEffect, with_effects
 from needleplan.diagnosis.channels import channel_description
 from needleplan.models import Model, Scale
-from needleplan.models.effects import SIZE, Effect, effect_columns
+from needleplan.models.effects import SIZE
 from needleplan.models.friction import ShaftAndTip
 from needleplan.signals import Array
 
 __all__ = [
-    "at_points",
     "fit_hypothesis",
     "linearised_trials",
-    "shared_values",
     "start_point",
     "visible_laws",
 ]
@@ -53,22 +48,19 @@ def fit_hypothesis(
     start: Sequence[FittedEffect],
     begin: Sequence[CalibratedTrial],
     extra: Extra | None = None,
-    others: Sequence[FittedEffect] = (),
     most_steps: int = MOST_STEPS,
     least: float = -math.inf,
     like: Hypothesis | None = None,
     held: bool = False,
-    sought: bool = True,
 ) -> Hypothesis:
     """Fit effects and base models to all trials together by Gauss-Newton steps, beginning at the trials `begin`.
 
-    `others` are further start values of the last effect. If it is `sought`, the trials `begin` were calibrated without
-    it, and the fit starts at the best values around these. After a step, the fit is given up if it hardly reaches
-    the log evidence `least`, by what the linear model promises within the bounds of the parameters. The fit begins with
-    the tolerances of the hypothesis `like`, by default with the largest formula error and all scales 1. If the
-    tolerances are `held`, a first stage keeps them, and is not given up.
+    After a step, the fit is given up if it hardly reaches the log evidence `least`, by what the linear model promises
+    within the bounds of the parameters. The fit begins with the tolerances of the hypothesis `like`, by default with
+    the largest formula error and all scales 1. If the tolerances are `held`, a first stage keeps them, and is not given
+    up.
     """
-    here = start_point(problem, start, begin, extra, others, like, sought=sought)
+    here = start_point(problem, start, begin, extra, like)
     if not most_steps:
         return here.with_levels(problem).with_best_tolerances()
     if held:
@@ -86,17 +78,13 @@ def start_point(
     start: Sequence[FittedEffect],
     begin: Sequence[CalibratedTrial],
     extra: Extra | None = None,
-    others: Sequence[FittedEffect] = (),
     like: Hypothesis | None = None,
-    *,
-    sought: bool = True,
 ) -> Hypothesis:
     """Return the hypothesis at the start of a fit, with the tolerances and the likely heterogeneities of `like`.
 
     The parameters are those of `fit_hypothesis`.
     """
     effects = tuple(shifted(each, SIZE, 0.0) for each in start)
-    effects = _nearby(problem, effects, begin, others) if effects and extra is None and sought else effects
     few, given = problem, (like.formula_error, like.scales) if like else ()
     if like:
         likely = np.argsort(-like.by_heterogeneity)[:FIT_LEVELS]
@@ -295,82 +283,3 @@ def _moved(here: Hypothesis, move: Array) -> tuple[FittedEffect, ...]:
     for (index, name, trial), step in zip(here.coordinates, move[: len(here.coordinates)].tolist(), strict=True):
         effects[index] = shifted(effects[index], name, step, trial)
     return tuple(effects)
-
-
-def _nearby(
-    problem: Problem,
-    effects: tuple[FittedEffect, ...],
-    trials: Sequence[CalibratedTrial],
-    others: Sequence[FittedEffect],
-) -> tuple[FittedEffect, ...]:
-    """Return the effects, the last one moved to the best point of the grid that it states around its values.
-
-    This is a start of a fit only: the effect is simulated beside the base alone, for many points at once. The amplitude
-    is that of the grid, or, if the output is in proportion to it, the best one.
-    """
-    *before, last = effects
-    free = not any(SIZE in each for each in last.effect.grid(problem.reach))
-    bases = [unblended(trial.model) for trial in trials]
-    models: list[LinearModel] = []
-    for scale in NEIGHBOURHOODS:
-        starts = [last, *others] if scale == NEIGHBOURHOODS[0] else [last]
-        grids = [
-            [
-                point
-                for start in starts
-                for point in last.effect.nearby(start.in_trial(number).values, problem.reach, scale)
-            ]
-            for number in range(len(trials))
-        ]
-        if not grids[0]:
-            break
-        if not models:
-            blocks = [problem.block(trial, number) for number, trial in enumerate(trials)]
-            models = [LinearModel([block], [np.zeros((len(block.residual), 0))], np.zeros(0)) for block in blocks]
-        groups = shared_values(last.effect, grids[0])
-        energies, slopes, curvatures = [], [], []
-        for number, (model, base, trial, grid) in enumerate(zip(models, bases, trials, grids, strict=True)):
-            if trial.is_reference:
-                columns = np.zeros((len(trial.whitened.residual), len(grid)))
-            else:
-                columns = problem.whiten(trial, number, effect_columns(last.effect, base, trial.motion, grid))
-            scores = model.project(Columns(model.blocks, [columns]), np.arange(len(problem.levels)))
-            sizes = np.array([each[SIZE] for each in grid])
-            energies.append(model.unfitted[:, None] - 2 * scores.slope * sizes + scores.curvature * sizes**2)
-            slopes.append(scores.slope)
-            curvatures.append(scores.curvature)
-        if free:
-            curvature, slope = np.sum(curvatures, axis=0), np.sum(slopes, axis=0)
-            what = last.effect.parameters[SIZE]
-            permitted = last.bounds.get(SIZE, (what.lower, what.upper))
-            best_sizes = np.clip(slope / np.maximum(curvature, 1e-300), *permitted)
-            whole = sum(model.unfitted[:, None] for model in models)
-            energies = [whole - 2 * slope * best_sizes + curvature * best_sizes**2]
-        least = np.sum([[energy[:, group].min(axis=1) for group in groups] for energy in energies], axis=0).T
-        volume = (np.sum([model.logs for model in models], axis=0) + problem.log_prior_h)[:, None]
-        gains = volume + problem.noise_scale.log_likelihood(np.maximum(least, 0.0))
-        h, best = np.unravel_index(int(gains.argmax()), gains.shape)
-        if free:
-            size = float(best_sizes[h, best])
-            last = replace(last, values={**grids[0][best], SIZE: size or last.values[SIZE]})
-            continue
-        group = groups[int(best)]
-        last = at_points(last, [
-            grid[group[int(own[h, group].argmin())]] for grid, own in zip(grids, energies, strict=True)
-        ])  # fmt: skip
-    return (*before, last)
-
-
-def shared_values(effect: Effect, grid: Sequence[Mapping[str, float]]) -> list[Indices]:
-    """Group the grid points that differ only in parameters with a separate value for every trial; return indices."""
-    groups: dict[tuple[float, ...], list[int]] = {}
-    for index, values in enumerate(grid):
-        key = tuple(value for name, value in values.items() if name not in effect.by_trial)
-        groups.setdefault(key if effect.by_trial else (index,), []).append(index)
-    return [np.array(group, np.intp) for group in groups.values()]
-
-
-def at_points(effect: FittedEffect, points: Sequence[Mapping[str, float]]) -> FittedEffect:
-    """Return an effect at a grid point, or at one for each trial that differ in the trials' own parameters."""
-    own = tuple({name: point[name] for name in effect.effect.by_trial} for point in points)
-    return replace(effect, values=points[0], own=own if effect.effect.by_trial else ())

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from needleplan.diagnosis._components import Components
-from needleplan.diagnosis._constants import FORMULA_SDS, MOST_EFFECTS
+from needleplan.diagnosis._constants import FORMULA_SDS, MOST_EFFECTS, STRONG
 from needleplan.diagnosis._decision import Names
 from needleplan.diagnosis._evidence import Projected
 from needleplan.diagnosis._hypothesis import Hypothesis
@@ -18,7 +18,7 @@ from needleplan.diagnosis._settings import Settings
 from needleplan.diagnosis.catalogue import CatalogueEntry
 from needleplan.signals import Array
 
-__all__ = ["Posterior", "log_prior"]
+__all__ = ["Posterior", "least_share", "log_prior"]
 
 
 @dataclass(frozen=True)
@@ -53,22 +53,23 @@ class Posterior:
         If the formula of an effect is wrong by a share, what another effect or a component gains by closing this error
         is about the squared share of what the effect gains. A member of the most probable hypothesis that gains less
         may be such an error: all hypotheses with it and the strongest member are left out, equation (9), until the most
-        probable one has no such member. The result also has a remark on each.
+        probable one has no such member. The result also has a remark on each that gains more than `STRONG` nats.
         """
         logs, remarks = dict(self.logs), list[str]()
-        share = FORMULA_SDS * self.problem.settings.law_along_axis
+        share = least_share(self.problem.settings)
         while True:
             best = max(logs, key=lambda key: logs[key])
             gains = {member: logs[best] - _without(logs, best, member) for member in _members(best)}
             strongest = max(gains, key=lambda member: gains[member], default="")
-            weaker = [member for member in gains if gains[member] < share**2 * gains[strongest]]
+            weaker = [member for member in gains if gains[member] < share * gains[strongest]]
             if not weaker:
                 break
             weakest = min(weaker, key=lambda member: gains[member])
-            remarks.append(
-                f"{weakest} may be an error of the formula of {strongest}: it gains {gains[weakest]:.0f} nats beside "
-                f"{gains[strongest]:.0f}"
-            )
+            if gains[weakest] > STRONG:
+                remarks.append(
+                    f"{weakest} may be an error of the formula of {strongest}: it gains {gains[weakest]:.0f} nats "
+                    f"beside {gains[strongest]:.0f}"
+                )
             logs = {key: value for key, value in logs.items() if not {weakest, strongest} <= {*_members(key)}}
         total = float(np.logaddexp.reduce(list(logs.values())))
         return replace(self, logs={key: value - total for key, value in logs.items()}), remarks
@@ -90,6 +91,11 @@ def _without(logs: Mapping[tuple[Names, str], float], best: tuple[Names, str], m
     """Return the largest log posterior of the hypotheses that have only members of the best one, and not this one."""
     left = {*_members(best)} - {member}
     return max((value for key, value in logs.items() if {*_members(key)} <= left), default=-math.inf)
+
+
+def least_share(settings: Settings) -> float:
+    """Return the share of another effect's gain (nats) below which an effect may be an error of its formula."""
+    return (FORMULA_SDS * settings.law_along_axis) ** 2
 
 
 def log_prior(settings: Settings, every: int, count: int) -> float:

@@ -28,10 +28,11 @@ from needleplan.diagnosis._constants import (
     VALID_RATIOS,
 )
 from needleplan.diagnosis._evidence import Columns
-from needleplan.diagnosis._fit import at_points, linearised_trials, shared_values, visible_laws
+from needleplan.diagnosis._fit import linearised_trials, visible_laws
 from needleplan.diagnosis._hypothesis import Hypothesis, log_tail
 from needleplan.diagnosis._posterior import log_prior
 from needleplan.diagnosis._problem import Problem
+from needleplan.diagnosis._refinement import at_points, shared_values
 from needleplan.diagnosis._tangents import is_added
 from needleplan.diagnosis.calibration import CalibratedTrial
 from needleplan.diagnosis.catalogue import CatalogueEntry, FittedEffect, Library

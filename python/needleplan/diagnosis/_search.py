@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -33,10 +34,12 @@ from needleplan.diagnosis._constants import (
 from needleplan.diagnosis._decision import Names
 from needleplan.diagnosis._fit import fit_hypothesis, linearised_trials, start_point
 from needleplan.diagnosis._hypothesis import Hypothesis
-from needleplan.diagnosis._posterior import Posterior
+from needleplan.diagnosis._posterior import Posterior, least_share
 from needleplan.diagnosis._problem import Problem
+from needleplan.diagnosis._refinement import contenders
 from needleplan.diagnosis._screening import Child, Screening
-from needleplan.diagnosis.catalogue import Library
+from needleplan.diagnosis.calibration import CalibratedTrial
+from needleplan.diagnosis.catalogue import FittedEffect, Library
 from needleplan.diagnosis.channels import channel_description
 from needleplan.models.effects import SIZE
 
@@ -110,36 +113,40 @@ class _Search:
             usual_s = channel_description(problem.calibration.given.channel).usual_lag_s
             less = tuple(replace(trial, lag_s=usual_s) for trial in trials)
             points = [start_point(problem, [*effects, start], less, like=parent) for start in starts]
-            best = max(points, key=lambda point: point.log_evidence)
+            best = max(points, key=lambda point: point.log_evidence)  # a step of a delay is far from linear
             return fit_hypothesis(problem, best.effects, best.trials, least=least, like=parent)
-        found = [
-            fit_hypothesis(
-                problem, [*effects, starts[0]], trials, others=starts[1:], least=least, like=parent, held=child.held
-            )
-        ]
-        if len(starts) > 1:  # with the base free, other starts may be better than the best one beside the parent's base
-            apart = [start_point(problem, [*effects, start], trials, like=parent) for start in starts]
-            found += [
-                fit_hypothesis(problem, point.effects, trials, least=least, like=parent, held=child.held, sought=False)
-                for point in sorted(apart, key=lambda point: -point.log_evidence)[:2]
-            ]
-        best = max(found, key=lambda fit: fit.log_evidence)
-        return self._best_optimum(best, child, least) if len(starts) > 1 else best
+        start = self._best_start(parent, contenders(starts, parent), trials)
+        fitted = fit_hypothesis(problem, [*effects, start], trials, least=least, like=parent, held=child.held)
+        return self._best_optimum(fitted, child, least) if len(starts) > 1 else fitted
+
+    def _best_start(
+        self, parent: Hypothesis, starts: Sequence[FittedEffect], trials: Sequence[CalibratedTrial]
+    ) -> FittedEffect:
+        """Return the start with the largest evidence that a step of the whole linear model promises."""
+        if len(starts) == 1:
+            return starts[0]
+        points = [start_point(self.problem, [*parent.effects, start], trials, like=parent) for start in starts]
+        return starts[int(np.argmax([point.hope for point in points]))]
 
     def _best_optimum(self, fitted: Hypothesis, child: Child, least: float) -> Hypothesis:
         """Return the fit of an effect with local optima, or a better one from another start.
 
-        A fit seeks its start beside the base of its parent. A strong effect that is missing distorts this base. So the
-        start is sought again beside the base of the fit, as long as this gains. A fit is given up if it hardly reaches
-        the log evidence `least`.
+        A strong effect that is missing distorts the base of the parent, beside which the start was sought. So it is
+        sought again beside the base of the fit, as long as this gains. A fit is given up if it hardly reaches the log
+        evidence `least`.
         """
         for _ in range(MORE_SEARCHES):
             if fitted.log_evidence < child.beside.log_evidence + STRONG:
                 break
+            problem, own = fitted.problem, fitted.effects[-1]
+            without = fitted.again(fitted.effects[:-1], linearised_trials(problem, fitted.effects[:-1], fitted.trials))
+            start = self._best_start(without, contenders([own, *child.starts], without), without.trials)
+            if _same_point(start, own):
+                break
+            effects = [*fitted.effects[:-1], start]
             other = fit_hypothesis(
-                self.problem, fitted.effects, linearised_trials(self.problem, fitted.effects[:-1], fitted.trials),
-                others=child.starts, least=max(fitted.log_evidence, least), like=fitted,
-            )  # fmt: skip
+                self.problem, effects, without.trials, least=max(fitted.log_evidence, least), like=fitted
+            )
             if other.log_evidence < fitted.log_evidence + GAINED:
                 break
             fitted = other
@@ -169,16 +176,45 @@ class _Search:
             lead = self.highest - self.scores[tuple(sorted(parent.names))]
             strong = child.strong and (fits < STRONGEST or (child.most > ALIKE * lead and not self.explained))
             hopeful = strong or child.hope > self.highest - HOPELESS
-            if fits < most and names not in self.fitted and hopeful:
+            if fits < most and names not in self.fitted and hopeful and not self._may_be_an_error(child):
                 self._try(child)
                 fits += 1
 
+    def _may_be_an_error(self, child: Child) -> bool:
+        """Return whether a further effect gains so little that it may be an error of another one's formula.
+
+        The answer would leave it out by equation (9).
+        """
+        parent, further = tuple(sorted(child.beside.names)), child.effect.name
+        score, every = self.scores[parent], {*parent, further}
+        gains = [
+            score - max(other for names, other in self.scores.items() if {*names} <= every - {member})
+            for member in {*parent} - {further}
+        ]
+        hope = max(child.hope, child.also.hope if child.also else -math.inf)
+        return hope - score < least_share(self.problem.settings) * max(gains, default=0.0)
+
     def _try(self, child: Child) -> None:
         """Fit a set with one more effect, and its subsets if it becomes the best."""
-        fitted = self._fit(child)
-        self.add(fitted)
+        self.add(self._fit(child))
         if self._names(child) == self.best:
-            self._refit_subsets(fitted)
+            self._converge(self.best)
+            self._refit_subsets(self.fitted[self._names(child)])
+
+    def _add_rival(self, hypothesis: Hypothesis) -> None:
+        """Keep a fitted set, and fit it on if it is near the best one."""
+        self.add(hypothesis)
+        names = tuple(sorted(hypothesis.names))
+        if self.scores[names] > self.scores[self.best] - FAR:
+            self._converge(names)
+
+    def _converge(self, names: Names) -> None:
+        """Fit a set again as long as it gains by steps that its linear model promises."""
+        while (here := self.fitted[names]).promise > GAINED:
+            further = fit_hypothesis(self.problem, here.effects, here.trials, like=here)
+            self.add(further)
+            if further.log_evidence < here.log_evidence + GAINED:
+                break
 
     def exchange(self) -> None:
         """Replace each effect of the best set by its imitators, and fit these sets.
@@ -195,7 +231,7 @@ class _Search:
                 if effect.given:
                     continue
                 rest = fitted.effects[:index] + fitted.effects[index + 1 :]
-                parent = fit_hypothesis(self.problem, rest, fitted.trials, like=fitted, most_steps=0, sought=False)
+                parent = fit_hypothesis(self.problem, rest, fitted.trials, like=fitted, most_steps=0)
                 children = self.screening.children(parent)
                 gain = max((child.gain for child in children if child.effect.name == effect.name), default=math.inf)
                 for child in children:
@@ -215,12 +251,17 @@ class _Search:
             trials, rest = child.trials, child.effects[:index] + child.effects[index + 1 :]
             if left_out.effect.is_lag:  # the lag of the base takes its place
                 trials = tuple(replace(trial, lag_s=trial.lag_s + left_out.values[SIZE]) for trial in trials)
-            self.add(fit_hypothesis(self.problem, rest, trials, like=child, least=least, sought=False))
+            self._add_rival(fit_hypothesis(self.problem, rest, trials, like=child, least=least))
             if shared := self.screening.shared(left_out):
                 effects = [*child.effects[:index], shared, *child.effects[index + 1 :]]
-                self.add(fit_hypothesis(self.problem, effects, child.trials, like=child, sought=False))
+                self._add_rival(fit_hypothesis(self.problem, effects, child.trials, like=child))
         if 0 < len(self.best) < len(child.names):
             self._refit_subsets(self.fitted[self.best])
+
+
+def _same_point(one: FittedEffect, other: FittedEffect) -> bool:
+    """Return whether two fits of an effect have the same places, times and rates."""
+    return replace(one, values={**one.values, SIZE: other.values[SIZE]}) == other
 
 
 def search(

@@ -25,6 +25,7 @@
     [[parent]]                # data from which the model was identified
     name = "trial 3"
     digest = "sha256:..."
+    file = "data.csv"         # relative to the folder of this file; may lack
 
     [[effect]]                # an effect that was added to the model
     name = "puncture"
@@ -42,12 +43,13 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import MISSING, dataclass, field, fields
+from dataclasses import MISSING, dataclass, field, fields, replace
 from enum import StrEnum
 from functools import cached_property
+from pathlib import Path
 from typing import Any, get_type_hints
 
-from needleplan.artifacts import Parent, digest, short_html, short_repr, version, write_whole
+from needleplan.artifacts import Parent, digest, relative_path, short_html, short_repr, version, write_whole
 from needleplan.config import (
     Choice,
     ConfigTable,
@@ -226,6 +228,8 @@ class ModelFile:
         Program and version.
     fibre : FibreSensors or None
         Curvature sensors along the needle.
+    folder : Path or None
+        Folder of the file that was read, from which the files of the parents are named; None if it was not read.
 
     Examples
     --------
@@ -245,6 +249,7 @@ class ModelFile:
     title: str = ""
     made_by: str = field(default_factory=lambda: f"needleplan {version()}")
     fibre: FibreSensors | None = None
+    folder: Path | None = field(default=None, compare=False)
 
     @classmethod
     def of(cls, model: Model | ModelFile | str | os.PathLike[str]) -> ModelFile:
@@ -264,7 +269,29 @@ class ModelFile:
     @classmethod
     def read(cls, path: str | os.PathLike[str]) -> ModelFile:
         """Read a model file. Raises ModelError with every mistake, or if the file cannot be read."""
-        return cls.from_toml(text_of(path, ModelError), os.fspath(path))
+        file = cls.from_toml(text_of(path, ModelError), os.fspath(path))
+        return replace(file, folder=Path(path).resolve().parent)
+
+    def with_files(self, files: Mapping[str, str | os.PathLike[str]], folder: str | os.PathLike[str]) -> ModelFile:
+        """Return the model file with the files of its parents.
+
+        Parameters
+        ----------
+        files : mapping of str to path
+            Files by the digest of their content.
+        folder : path
+            Folder in which the model file will be.
+
+        Returns
+        -------
+        ModelFile
+            With the path of each parent whose digest is known, relative to the folder.
+        """
+        parents = tuple(
+            replace(parent, file=relative_path(files[parent.digest], folder)) if parent.digest in files else parent
+            for parent in self.parents
+        )
+        return replace(self, parents=parents, folder=Path(folder).resolve())
 
     @classmethod
     def from_toml(cls, text: str, source: str = "") -> ModelFile:
@@ -307,7 +334,7 @@ class ModelFile:
             "parameters": _raw_parameters(kind.parameters(), model.values(), self.estimates),
             "options": {name: getattr(model, name) for name in _options(kind)},
             "fibre": raw_of(self.fibre) if self.fibre else {},
-            "parent": [{"name": parent.name, "digest": parent.digest} for parent in self.parents],
+            "parent": [_raw_parent(parent) for parent in self.parents],
             "effect": [_raw_effect(effect) for effect in effects],
         }
         return toml_text({key: value for key, value in document.items() if value or key not in _MAY_LACK})
@@ -324,6 +351,11 @@ class ModelFile:
 
 _MAY_LACK = ("parameters", "options", "fibre", "parent", "effect")
 """Keys that a written file leaves out if their values are empty."""
+
+
+def _raw_parent(parent: Parent) -> dict[str, str]:
+    known = {"name": parent.name, "digest": parent.digest}
+    return {**known, "file": parent.file} if parent.file else known
 
 
 def _raw_effect(added: AddedEffect) -> dict[str, Any]:

@@ -238,6 +238,8 @@ def _python(opened: DiagnosisFile) -> str:
         options.append(f"rate_hz={float(source['rate_hz'])!r}")
     if source.get("frame"):
         options.append(f"frame={source['frame']!r}")
+    switches = ["references=False"] if source.get("without_references") else []
+    switches += ["strict=True"] if source.get("strict") else []
     imports = ["ColumnMap", "read_records"] if source["columns"] else ["read_records"]
     lines = [
         "import needleplan as npl",
@@ -249,7 +251,7 @@ def _python(opened: DiagnosisFile) -> str:
         *(f"register_file({name!r})" for name in source["effects"]),
         f"model = ModelFile.read({source['model']!r})",
         f"records = read_records({', '.join([repr(files), *options])})",
-        "found = npl.diagnose(model, records)",
+        f"found = npl.diagnose({', '.join(['model', 'records', *switches])})",
         "print(found.verdict, *found.names)",
         "npl.view(found)  # in a notebook",
     ]
@@ -269,4 +271,6 @@ def _command(opened: DiagnosisFile) -> str:
             words.append(f"--{name}={float(source[key])!r}")
     words += [f"--frame={source['frame']}"] if source.get("frame") else []
     words += ["--accept-units"] if source["accept_units"] else []
+    words += ["--without-references"] if source.get("without_references") else []
+    words += ["--strict"] if source.get("strict") else []
     return f"{shlex.join([*words, '-o', 'again'])}\nneedleplan view again\n"

@@ -47,14 +47,16 @@ _MOST_SHOWN = 5
 
 
 def diagnose_records(
-    file: ModelFile, records: Sequence[Record], progress: Callable[[str], None] | None = None
+    file: ModelFile, records: Sequence[Record], progress: Callable[[str], None] | None = None, *, strict: bool = False
 ) -> tuple[Diagnosis, ModelFile, Library]:
     """Return the diagnosis of the model of a file, that file, and the library of effects.
 
-    `progress` is called with the name of each stage. Raises DataError for data that cannot be used.
+    `progress` is called with the name of each stage. The references are those of the records; if `strict`, their own
+    diagnosis is the result if they show something. Raises DataError for data that cannot be used.
     """
     library = default_library(file.model)
-    return diagnose(file, records, library=library, progress=progress), file, library
+    found = diagnose(file, records, library=library, references=False, strict=strict, progress=progress)
+    return found, file, library
 
 
 def next_trials_of(found: Diagnosis, trials: int = 1) -> NextTrials | None:

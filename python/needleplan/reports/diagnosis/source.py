@@ -31,6 +31,9 @@ class DiagnosisSource:
         Python files of further effects.
     frame
         Frame of the files that do not say it; None if none was given.
+    without_references, strict
+        Whether the recordings from which the model was identified were no references, and whether the diagnosis of the
+        references could be the result.
     """
 
     model: str
@@ -44,6 +47,8 @@ class DiagnosisSource:
     effects: tuple[str, ...] = ()
     frame: str | None = None
     reference: tuple[str, ...] = ()
+    without_references: bool = False
+    strict: bool = False
 
     __repr__ = call_repr
 
