@@ -17,22 +17,11 @@ from tests import pages
 PAGES = sorted((pages.ROOT / "docs").rglob("*.md"))
 OTHER_PAGES = [pages.ROOT / name for name in ("README.md", "CHANGELOG.md", "CONTRIBUTING.md", "rust/ppvi/README.md")]
 CLASSES = {"motion": scenario.TipMotion}
-# Pages that plan through an invented anatomy in every block: a minute of processor time together. In the slow set
-# `tests/test_examples.py` ranks the entries of such an anatomy; `tests/cli/test_space.py` inserts through a small one.
-ANATOMIES = {"how-to/anatomy", "how-to/insert-through-anatomy", "how-to/several-targets", "how-to/view-anatomy"}
 PARTS = ("workspace", "obstacle", "target", "needle", "layer", "tissue", "motion", "grid", "objective", "solver")
 
 
-def is_study(page: Path) -> bool:
-    return f"{page.parent.name}/{page.stem}" in ANATOMIES
-
-
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "page",
-    [pytest.param(page, marks=pytest.mark.study) if is_study(page) else page for page in PAGES],
-    ids=lambda page: page.stem,
-)
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
 def test_code_runs(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     pages.run(page, tmp_path)

@@ -28,15 +28,8 @@ def test_all_folders_are_listed_and_their_links_lead_somewhere() -> None:
         assert len((folder / "README.md").read_text(encoding="utf-8").splitlines()) <= 40
 
 
-# The other two insert, replay and diagnose as the pages of docs do.
-QUICK = ("csv-to-plan", "masks-to-entries")
-
-
 @pytest.mark.slow
-@pytest.mark.parametrize("name", [
-    pytest.param(folder.name, marks=() if folder.name in QUICK else pytest.mark.study)
-    for folder in FOLDERS if folder.name != "robot-in-c"
-])  # fmt: skip
+@pytest.mark.parametrize("name", [folder.name for folder in FOLDERS if folder.name != "robot-in-c"])
 def test_the_commands_run(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     folder = shutil.copytree(EXAMPLES / name, tmp_path / name)
     monkeypatch.chdir(folder)
