@@ -174,8 +174,9 @@ class _RowGraph:
 
     def rows_within(self, states: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """Whether all successors of a row are among the states."""
-        outside = np.bincount(self.row, ~states[self.successors], minlength=len(self.state))
-        return outside == 0
+        within = np.ones(len(self.state), dtype=bool)
+        within[self.row[~states[self.successors]]] = False
+        return within
 
     def reaching(self, goal: NDArray[np.bool_], inner: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """Which states reach the goal with a positive probability under some policy, by steps from inner states."""

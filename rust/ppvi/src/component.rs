@@ -15,7 +15,7 @@
 
 use crate::component_order::better_order;
 use crate::mdp::Mdp;
-use crate::policy_equations::{Equations, dot_at, largest};
+use crate::policy_equations::{Equations, LONG_ROW, dot_at, largest};
 use crate::tabular::TabularMdp;
 use crate::termination::Status;
 
@@ -212,7 +212,7 @@ impl Component {
             // Of equal actions the present one stays.
             let (mut best, mut choice) = match present.0 {
                 OUTSIDE => (f64::INFINITY, present),
-                row => (moved(row_value(mdp, row as usize, values), value, present.1), present),
+                row => (row_value(mdp, state, row as usize, present.1, values), present),
             };
             let drift = self.drift + least;
             let (rows, local) = (mdp.rows(state), self.offsets[place] as usize..self.offsets[place + 1] as usize);
@@ -221,7 +221,7 @@ impl Component {
                 if *bound + drift >= best || row as u32 == present.0 {
                     continue;
                 }
-                let q = moved(row_value(mdp, row, values), value, scale);
+                let q = row_value(mdp, state, row, scale, values);
                 *bound = q - self.drift;
                 if q < best {
                     (best, choice) = (q, (row as u32, scale));
@@ -305,19 +305,26 @@ impl Component {
     }
 }
 
-/// The value k + g sum of p V(s') of a row.
+/// The value (k + rest) / (1 - g p) of a row of a state, without self-loop. The loop is left out of the sum: a subtraction
+/// afterwards would leave rounding that the scale makes large.
 #[inline(always)]
-fn row_value(mdp: &TabularMdp, row: usize, values: &[f64]) -> f64 {
-    let (successors, probabilities, cost) = mdp.row(row);
-    let expectation = match mdp.discount() < 1.0 {
-        true => dot_at(successors, probabilities, values),
-        // Without discount, a successor of probability zero may have an infinite value.
-        false => {
-            let entries = successors.iter().zip(probabilities).filter(|entry| *entry.1 > 0.0);
-            entries.fold(0.0, |sum, (&next, &probability)| sum + probability * values[next as usize])
+fn row_value(mdp: &TabularMdp, state: usize, row: usize, scale: f64, values: &[f64]) -> f64 {
+    let (mut successors, mut probabilities, cost) = mdp.row(row);
+    if mdp.discount() < 1.0 && (scale == 1.0 || successors.len() >= LONG_ROW) {
+        let mut rest = 0.0;
+        if scale != 1.0 {
+            while let Some(at) = successors.iter().position(|&next| next as usize == state) {
+                rest += dot_at(&successors[..at], &probabilities[..at], values);
+                (successors, probabilities) = (&successors[at + 1..], &probabilities[at + 1..]);
+            }
         }
-    };
-    cost + mdp.discount() * expectation
+        return (cost + mdp.discount() * (rest + dot_at(successors, probabilities, values))) * scale;
+    }
+    let rest = successors.iter().zip(probabilities).fold(0.0, |sum, (&next, &probability)| {
+        // Without discount, a successor of probability zero may have an infinite value.
+        if next as usize == state || probability == 0.0 { sum } else { sum + probability * values[next as usize] }
+    });
+    (cost + mdp.discount() * rest) * scale
 }
 
 /// Probability with which a row stays in its state.
@@ -328,10 +335,4 @@ fn staying(mdp: &TabularMdp, state: u32, row: usize) -> f64 {
         true => successors.iter().zip(probabilities).filter(|entry| *entry.0 == state).map(|entry| entry.1).sum(),
         false => 0.0,
     }
-}
-
-/// The value of a row without self-loop, (k + rest) / (1 - g p), from its value q = k + g p V + rest and its scale.
-#[inline]
-fn moved(q: f64, value: f64, scale: f64) -> f64 {
-    if scale == 1.0 { q } else { value + (q - value) * scale }
 }

@@ -22,7 +22,7 @@ const MOST_WORK_PER_STATE: usize = 2_000;
 const MOST_ELEMENTS: usize = 1 << 23;
 
 /// Entries from which a row is summed by four sums side by side.
-const LONG_ROW: usize = 12;
+pub(crate) const LONG_ROW: usize = 12;
 
 /// Smallest pivot that is not taken for rounding: the equations of a policy that may not end are singular.
 const LEAST_PIVOT: f64 = 1e-13;
