@@ -13,7 +13,7 @@
 //! more than d since the value q of a row was computed. The weights of a row sum to at most 1, so its value is now at
 //! least q - d. A sweep computes the present action of a state first, and another one only if its bound is lower.
 
-use crate::component_order::better_order;
+use crate::component_order::{OUTSIDE, better_order};
 use crate::mdp::Mdp;
 use crate::policy_equations::{Equations, LONG_ROW, dot_at, largest};
 use crate::tabular::TabularMdp;
@@ -39,9 +39,6 @@ const MOST_STALLED_ROUNDS: u32 = 8;
 
 /// Largest number of rounds without a solve of the equations after solves that did not reduce the residual.
 const LONGEST_PAUSE: u32 = 64;
-
-/// Mark of a state outside the component in the table of places.
-pub(crate) const OUTSIDE: u32 = u32::MAX;
 
 /// How policies are evaluated; see [`crate::policy_iteration`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]

@@ -3,8 +3,10 @@
 //! The equations of a policy are solved fastest if successors are near: in a narrow band, or with few cache misses. A
 //! breadth-first search puts all successors of a level into the levels up to the next one (Cuthill and McKee 1969).
 
-use crate::component::OUTSIDE;
 use crate::tabular::TabularMdp;
+
+/// Mark of a state outside the component in the table of places.
+pub(crate) const OUTSIDE: u32 = u32::MAX;
 
 /// Mean distance of successors, as a multiple of the square root of the number of states, up to which an order is good:
 /// a problem on a square grid has a mean distance of about one root.

@@ -24,7 +24,8 @@ use std::time::Duration;
 
 use crate::bellman::{CHUNK, greedy};
 pub use crate::component::Evaluation;
-use crate::component::{Component, Goal, OUTSIDE};
+use crate::component::{Component, Goal};
+use crate::component_order::OUTSIDE;
 use crate::components::Components;
 use crate::error::{Error, Result};
 use crate::mdp::Mdp;
