@@ -31,6 +31,13 @@ class TabularSolution(_SolveReport):
     values: NDArray[np.float64]
     policy: NDArray[np.uint32]
 
+class SparseRowsResult(TypedDict):
+    """Rows of a `Tabular`, as its constructor takes them."""
+
+    row_offsets: NDArray[np.int64]
+    successors: NDArray[np.uint32]
+    probabilities: NDArray[np.float64]
+
 class SuccessResult(TypedDict):
     """Probability of reaching the target, per state."""
 

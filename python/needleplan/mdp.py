@@ -10,11 +10,13 @@ from needleplan.planning._mdp_criteria import (
     q_values,
 )
 from needleplan.planning._mdp_problem import TabularMdp
+from needleplan.planning._mdp_reachability import Reachability, reachability
 
 __all__ = [
     "AverageCost",
     "Dependencies",
     "FiniteHorizon",
+    "Reachability",
     "Solution",
     "TabularMdp",
     "average_cost",
@@ -22,6 +24,7 @@ __all__ = [
     "evaluate",
     "finite_horizon",
     "q_values",
+    "reachability",
     "solve",
     "value_iteration",
 ]

@@ -2,8 +2,8 @@
 
 use numpy::{IntoPyArray, PyArray1, PyReadonlyArray1};
 use ppvi::{
-    Dependencies, Error, Evaluation, Mdp, Partition, PrioritizedOptions, StateDependents, TabularMdp, policy_iteration,
-    prioritized, tabular_sweep, value_iteration,
+    Dependencies, Error, Evaluation, Mdp, Partition, PrioritizedOptions, StateDependents, TabularMdp, is_small,
+    policy_iteration, prioritized, tabular_sweep, value_iteration,
 };
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
@@ -11,7 +11,7 @@ use pyo3::types::PyDict;
 
 use crate::arrays::{contiguous, elements};
 use crate::solve::{report_dict, stop_rule};
-use crate::work::{exception, run, watch};
+use crate::work::{exception, run, watch, watch_here};
 
 /// A problem with its own copies of the arrays, since Python may change those that it gave.
 #[pyclass(frozen, module = "needleplan._ppvi")]
@@ -98,9 +98,15 @@ impl Tabular {
                     "pi" => Evaluation::Solve,
                     _ => Evaluation::Auto,
                 };
-                watch(py, threads, progress, |reports| {
-                    policy_iteration(mdp, evaluation, start.as_deref(), rule, Some(&mut reports.observer()))
-                })?
+                let start = start.as_deref();
+                match is_small(mdp) {
+                    true => watch_here(py, progress, |observer| {
+                        policy_iteration(mdp, evaluation, start, rule, Some(observer))
+                    })?,
+                    false => watch(py, threads, progress, |reports| {
+                        policy_iteration(mdp, evaluation, start, rule, Some(&mut reports.observer()))
+                    })?,
+                }
             }
             other => {
                 let message = format!("method = {other:?}: is not a method");
@@ -133,6 +139,16 @@ impl Tabular {
             Ok((0..mdp.parts().stage_costs.len()).map(q).collect::<Vec<f64>>())
         })?;
         Ok(q.into_pyarray(py))
+    }
+
+    /// Offsets, successors and probabilities of the rows, as the constructor takes them.
+    fn rows<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
+        let (parts, dict) = (self.mdp.parts(), PyDict::new(py));
+        let offsets = |offsets: &[usize]| offsets.iter().map(|&offset| offset as i64).collect::<Vec<_>>();
+        dict.set_item("row_offsets", offsets(parts.row_offsets).into_pyarray(py))?;
+        dict.set_item("successors", parts.successors.to_vec().into_pyarray(py))?;
+        dict.set_item("probabilities", parts.probabilities.to_vec().into_pyarray(py))?;
+        Ok(dict)
     }
 
     /// The problem with another discount.

@@ -13,9 +13,9 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, channel};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
-use ppvi::{Error, Progress, StopFlag};
+use ppvi::{Error, Observer, Progress, StopFlag};
 use pyo3::exceptions::{PyMemoryError, PyRuntimeError, PyStopIteration, PyValueError};
 use pyo3::intern;
 use pyo3::prelude::*;
@@ -118,6 +118,50 @@ pub(crate) fn watch<R: Send>(
     let result = result.unwrap_or_else(|| Err(Box::new("the work has no result")));
     let result = result.map_err(|panic| defect(&*panic))?.and_then(|result| result).map_err(exception)?;
     attend(py)?;
+    Ok(result)
+}
+
+/// [`watch`] for a solver that calls its observer more often than every [`INTERVAL`] and needs no pool: on this thread, since
+/// another one would take longer to start than a small problem takes.
+///
+/// # Errors
+/// As [`watch`].
+pub(crate) fn watch_here<R: Send>(
+    py: Python<'_>,
+    progress: Option<Py<PyAny>>,
+    work: impl FnOnce(Observer) -> ppvi::Result<R> + Send,
+) -> PyResult<R> {
+    let call = |py: Python<'_>, state: &Progress| -> PyResult<bool> {
+        let Some(callback) = &progress else { return Ok(true) };
+        match callback.call1(py, (state.sweeps, state.residual, state.threshold)) {
+            Err(error) if error.is_instance_of::<PyStopIteration>(py) => Ok(false),
+            answer => answer.map(|_| true),
+        }
+    };
+    let (mut latest, mut raised, mut attended) = (None, None, Instant::now());
+    let mut observer = |state: &Progress| {
+        latest = Some(*state);
+        if attended.elapsed() < INTERVAL {
+            return ControlFlow::Continue(());
+        }
+        attended = Instant::now();
+        match Python::attach(|py| py.check_signals().and_then(|()| call(py, state))) {
+            Ok(true) => ControlFlow::Continue(()),
+            Ok(false) => ControlFlow::Break(()),
+            Err(error) => {
+                raised = Some(error);
+                ControlFlow::Break(())
+            }
+        }
+    };
+    let result = py.detach(|| catch_unwind(AssertUnwindSafe(|| work(&mut observer))));
+    if let Some(error) = raised {
+        return Err(error);
+    }
+    let result = result.map_err(|panic| defect(&*panic))?.map_err(exception)?;
+    if let Some(state) = latest {
+        call(py, &state)?;
+    }
     Ok(result)
 }
 

@@ -10,7 +10,7 @@ use crate::proper::proper_states;
 use crate::stop::StopFlag;
 
 /// States that one task of a parallel pass backs up.
-const CHUNK: usize = 4096;
+pub(crate) const CHUNK: usize = 4096;
 
 /// Returns |new - old|, and 0 for equal infinities.
 #[inline]
@@ -64,6 +64,10 @@ pub fn bellman_operator(mdp: &impl Mdp, values: &[f64], next: &mut [f64], policy
 /// If `values` and `policy` do not have one element per state.
 pub fn greedy(mdp: &impl Mdp, values: &[f64], policy: &mut [u32]) -> Check {
     let stop = StopFlag::current();
+    if policy.len() <= CHUNK {
+        // On the calling thread, which may belong to no pool.
+        return check_chunk(mdp, values, 0, policy, |_, _| ());
+    }
     let chunks = policy.par_chunks_mut(CHUNK).enumerate();
     chunks
         .map(|(chunk, policy)| {

@@ -1,16 +1,21 @@
 //! Policy iteration in one strongly connected component, with the values of all other states fixed.
 //!
-//! The component is compiled to rows without self-loops: with the probability p of staying, an action of the value
-//! k + g p V(s) + rest is replaced by (k + rest) / (1 - g p), which has the same fixed points. Changes are measured in
-//! units of the original rows, by the factor 1 - g p.
-//!
-//! One round is a Gauss-Seidel sweep over all actions, which also chooses the policy, and an evaluation of this policy:
+//! One round is a Gauss-Seidel sweep over the actions, which also chooses the policy, and an evaluation of this policy:
 //! by Gauss-Seidel sweeps, and if they converge slowly by a direct or iterative solve of its equations
 //! (`policy_equations.rs`). An evaluation that does not reduce its residual is taken back. The sweeps alone converge, so
 //! the rounds do.
+//!
+//! *Self-loops.* With the probability p of staying, an action of the value k + g p V(s) + rest is replaced by
+//! (k + rest) / (1 - g p), which has the same fixed points. Changes are measured in units of the original rows, by the
+//! factor 1 - g p.
+//!
+//! *Actions that cannot be best* are left out of a sweep (MacQueen 1967). Let no value of the component have fallen by
+//! more than d since the value q of a row was computed. The weights of a row sum to at most 1, so its value is now at
+//! least q - d. A sweep computes the present action of a state first, and another one only if its bound is lower.
 
+use crate::component_order::{OUTSIDE, better_order};
 use crate::mdp::Mdp;
-use crate::policy_equations::{Equations, largest};
+use crate::policy_equations::{Equations, LONG_ROW, dot_at, largest};
 use crate::tabular::TabularMdp;
 use crate::termination::Status;
 
@@ -24,7 +29,7 @@ const MODIFIED_SWEEPS: u32 = 20;
 const PROBE_REDUCTION: f64 = 0.1;
 
 /// Accuracy of an iterative evaluation of a policy that may still change, relative to its residual.
-const INEXACT: f64 = 0.01;
+const INEXACT: f64 = 0.05;
 
 /// Accuracy of an iterative evaluation in exact policy iteration, relative to its residual.
 const EXACT: f64 = 1e-10;
@@ -32,8 +37,8 @@ const EXACT: f64 = 1e-10;
 /// Rounds without a smaller change after which a change near the rounding is taken as final.
 const MOST_STALLED_ROUNDS: u32 = 8;
 
-/// Mark of a state outside the component in the table of places.
-pub(crate) const OUTSIDE: u32 = u32::MAX;
+/// Largest number of rounds without a solve of the equations after solves that did not reduce the residual.
+const LONGEST_PAUSE: u32 = 64;
 
 /// How policies are evaluated; see [`crate::policy_iteration`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -47,23 +52,27 @@ pub enum Evaluation {
     Solve,
 }
 
-/// A component and the state of its solve.
+/// A component and the state of its solve. Its rows stay where they are in the problem.
 #[derive(Debug, Default)]
 pub(crate) struct Component {
+    /// The states in the order of a sweep.
     states: Vec<u32>,
-    /// Rows of state i: `rows[i]..rows[i + 1]`. Entries of row r: `ends[r]..ends[r + 1]`.
-    rows: Vec<u32>,
-    ends: Vec<u32>,
-    columns: Vec<u32>,
-    weights: Vec<f64>,
-    constants: Vec<f64>,
-    /// Change of the original row for a change of one of the row without self-loop.
+    /// Bounds and scales of the rows of state i: `offsets[i]..offsets[i + 1]`.
+    offsets: Vec<u32>,
+    /// Lower bound of the value of a row, less `drift`; infinite for a row that does not leave its state.
+    bounds: Vec<f64>,
+    /// 1 / (1 - g p) of a row, with its probability p of staying: the change of the row without self-loop for one of the row.
     scales: Vec<f64>,
-    values: Vec<f64>,
-    choices: Vec<u32>,
-    /// Whether the discount is 1: no value is negative, and the equations of a policy that may not end are singular.
-    undiscounted: bool,
+    /// Row of the present action of every state, and its scale.
+    choices: Vec<(u32, f64)>,
+    /// Lower bound of the change of the value of any row since the start.
+    drift: f64,
+    /// Least sum of the weights of a row, as far as is known.
+    least_weight: f64,
+    /// The equations of the policy, the values of its evaluation, and their residual.
     equations: Equations,
+    values: Vec<f64>,
+    residual: Vec<f64>,
     /// Backups of single states.
     pub backups: u64,
 }
@@ -78,142 +87,54 @@ pub(crate) struct Goal {
 }
 
 impl Component {
-    /// Compiles a component. `places` must hold [`OUTSIDE`] for all states, and does so again afterwards.
-    pub fn compile(&mut self, mdp: &TabularMdp, states: &[u32], values: &[f64], places: &mut [u32]) {
+    /// Prepares the solve of a component. `places` must hold [`OUTSIDE`] for all states; it holds the places of those of the
+    /// component until [`Component::leave`].
+    pub fn enter(&mut self, mdp: &TabularMdp, states: &[u32], places: &mut [u32]) {
+        let number = |states: &[u32], places: &mut [u32]| {
+            states.iter().enumerate().for_each(|(place, &state)| places[state as usize] = place as u32);
+        };
+        number(states, places);
         self.states.clear();
         self.states.extend_from_slice(states);
-        self.fill(mdp, values, places);
-        if let Some(order) = self.better_order() {
-            self.states = order.into_iter().map(|place| states[place as usize]).collect();
-            self.fill(mdp, values, places);
+        if let Some(order) = better_order(mdp, states, places) {
+            self.states = order;
+            number(&self.states, places);
         }
-        self.values.clear();
-        self.values.extend(self.states.iter().map(|&state| values[state as usize]));
-        self.choices.clear();
-        self.choices.resize(self.states.len(), OUTSIDE);
-    }
-
-    fn fill(&mut self, mdp: &TabularMdp, values: &[f64], places: &mut [u32]) {
-        for (place, &state) in self.states.iter().enumerate() {
-            places[state as usize] = place as u32;
-        }
-        for offsets in [&mut self.rows, &mut self.ends] {
-            offsets.clear();
-            offsets.push(0);
-        }
-        self.columns.clear();
-        self.weights.clear();
-        self.constants.clear();
-        self.scales.clear();
         let discount = mdp.discount();
-        self.undiscounted = discount == 1.0;
+        self.offsets.clear();
+        self.offsets.push(0);
+        self.bounds.clear();
+        self.scales.clear();
         for &state in &self.states {
             for row in mdp.rows(state as usize) {
-                let (successors, probabilities, cost) = mdp.row(row);
-                let (begin, mut outside, mut stays) = (self.columns.len(), 0.0, 0.0);
-                for (&next, &probability) in successors.iter().zip(probabilities) {
-                    let place = places[next as usize];
-                    if next == state {
-                        stays += probability;
-                    } else if place != OUTSIDE {
-                        self.columns.push(place);
-                        self.weights.push(discount * probability);
-                    } else if probability > 0.0 {
-                        outside += probability * values[next as usize];
-                    }
-                }
-                let scale = 1.0 - discount * stays;
+                let leaving = 1.0 - discount * staying(mdp, state, row);
+                self.scales.push(1.0 / leaving);
                 // An action that never leaves the state costs infinitely much without discount.
-                if scale <= 0.0 || outside == f64::INFINITY {
-                    self.columns.truncate(begin);
-                    self.weights.truncate(begin);
-                    continue;
-                }
-                self.weights[begin..].iter_mut().for_each(|weight| *weight /= scale);
-                self.ends.push(self.columns.len() as u32);
-                self.constants.push((cost + discount * outside) / scale);
-                self.scales.push(scale);
+                self.bounds.push(if leaving > 0.0 { f64::NEG_INFINITY } else { f64::INFINITY });
             }
-            self.rows.push(self.constants.len() as u32);
+            self.offsets.push(self.scales.len() as u32);
         }
-        for &state in &self.states {
-            places[state as usize] = OUTSIDE;
-        }
-    }
-
-    /// Returns an order of the states in which neighbours are near (Cuthill and McKee 1969), as places in the present
-    /// order, or None if it would not halve the mean distance of neighbours.
-    fn better_order(&self) -> Option<Vec<u32>> {
-        let n = self.states.len();
-        let distance = |places: &dyn Fn(u32) -> u32| -> f64 {
-            let mut sum = 0.0;
-            self.each_edge(|from, to| sum += f64::from(places(from).abs_diff(places(to))));
-            sum / self.columns.len().max(1) as f64
+        self.least_weight = match discount < 1.0 && states.len() == mdp.states() {
+            // No row leads out. g (1 - p) / (1 - g p) = 1 - (1 - g) / (1 - g p).
+            true => 1.0 - (1.0 - discount) * self.scales.iter().copied().fold(1.0, f64::max),
+            false => 0.0,
         };
-        // A problem on a square grid has a mean distance of about sqrt(n).
-        let present = distance(&|place| place);
-        if present <= 4.0 * (n as f64).sqrt() {
-            return None;
-        }
-        let mut offsets = vec![0u32; n + 1];
-        self.each_edge(|from, to| {
-            offsets[from as usize + 1] += 1;
-            offsets[to as usize + 1] += 1;
-        });
-        for place in 0..n {
-            offsets[place + 1] += offsets[place];
-        }
-        let (mut ends, mut neighbours) = (offsets.clone(), vec![0u32; offsets[n] as usize]);
-        self.each_edge(|from, to| {
-            for (at, neighbour) in [(from, to), (to, from)] {
-                neighbours[ends[at as usize] as usize] = neighbour;
-                ends[at as usize] += 1;
-            }
-        });
-        let search = |first: u32| {
-            let (mut order, mut seen) = (vec![first], vec![false; n]);
-            seen[first as usize] = true;
-            let mut next = 0;
-            while let Some(&place) = order.get(next) {
-                next += 1;
-                for &neighbour in &neighbours[offsets[place as usize] as usize..offsets[place as usize + 1] as usize] {
-                    if !std::mem::replace(&mut seen[neighbour as usize], true) {
-                        order.push(neighbour);
-                    }
-                }
-            }
-            order
-        };
-        // From the state that is farthest from some state. All are reached: dropped rows are in no policy.
-        let order = search(*search(0).last()?);
-        if order.len() < n {
-            return None;
-        }
-        let mut places = vec![0u32; n];
-        order.iter().enumerate().for_each(|(place, &old)| places[old as usize] = place as u32);
-        (distance(&|place| places[place as usize]) < 0.5 * present).then_some(order)
+        self.choices.clear();
+        self.choices.resize(self.states.len(), (OUTSIDE, 1.0));
+        self.drift = 0.0;
     }
 
-    fn each_edge(&self, mut visit: impl FnMut(u32, u32)) {
-        for state in 0..self.states.len() {
-            let (first, last) = (self.rows[state] as usize, self.rows[state + 1] as usize);
-            for entry in self.ends[first] as usize..self.ends[last] as usize {
-                visit(state as u32, self.columns[entry]);
-            }
-        }
-    }
-
-    /// Writes the values to those of all states.
-    pub fn write(&self, values: &mut [f64]) {
-        for (&state, &value) in self.states.iter().zip(&self.values) {
-            values[state as usize] = value;
-        }
+    /// Clears the places of the component.
+    pub fn leave(&self, places: &mut [u32]) {
+        self.states.iter().for_each(|&state| places[state as usize] = OUTSIDE);
     }
 
     /// Improves the values until a sweep changes none by more than the goal allows. `check` is called after every round
     /// with the change, and may end the solve with a status.
     pub fn solve(
         &mut self,
+        (mdp, places): (&TabularMdp, &[u32]),
+        values: &mut [f64],
         evaluation: Evaluation,
         goal: Goal,
         mut check: impl FnMut(&mut Self, f64) -> Option<Status>,
@@ -222,7 +143,7 @@ impl Component {
         // Rounds to pass without a solve of the equations, and their number after the next failure.
         let (mut pause, mut penalty) = (0u32, 1u32);
         loop {
-            let (change, switches) = self.sweep(reverse);
+            let (change, switches) = self.sweep(mdp, values, reverse);
             reverse = !reverse;
             stalled = if change < least { 0 } else { stalled + 1 };
             least = least.min(change);
@@ -233,73 +154,115 @@ impl Component {
             if ended.is_some() {
                 return ended;
             }
-            self.collect();
-            if evaluation == Evaluation::Sweeps {
-                self.policy_sweeps(MODIFIED_SWEEPS, &mut reverse);
-                continue;
-            }
             let accuracy = match (evaluation, switches) {
                 (Evaluation::Solve, _) => EXACT,
                 (_, 0) => (0.1 * goal.threshold / change).clamp(EXACT, INEXACT),
                 _ => INEXACT,
             };
-            if evaluation == Evaluation::Auto
-                && self.policy_sweeps(PROBE_SWEEPS, &mut reverse) <= PROBE_REDUCTION * change
-            {
-                continue;
+            self.collect(mdp, places, values);
+            let evaluated = match evaluation {
+                Evaluation::Solve => false,
+                Evaluation::Sweeps => {
+                    self.policy_sweeps(MODIFIED_SWEEPS, &mut reverse);
+                    true
+                }
+                Evaluation::Auto => self.policy_sweeps(PROBE_SWEEPS, &mut reverse) <= PROBE_REDUCTION * change,
+            };
+            if !evaluated {
+                if pause > 0 {
+                    pause -= 1;
+                } else if self.solve_equations(mdp.discount() < 1.0, accuracy) {
+                    penalty = 1;
+                } else {
+                    pause = penalty;
+                    penalty = (2 * penalty).min(LONGEST_PAUSE);
+                }
             }
-            if pause > 0 {
-                pause -= 1;
-            } else if self.solve_equations(accuracy) {
-                penalty = 1;
-            } else {
-                pause = penalty;
-                penalty = (2 * penalty).min(64);
-            }
+            self.write(values);
         }
     }
 
-    /// A Gauss-Seidel sweep over all actions. Returns the largest change, in units of the original rows, and the number
+    /// Writes the values of the evaluation to those of all states.
+    fn write(&mut self, values: &mut [f64]) {
+        let mut least = f64::INFINITY;
+        for (&state, &new) in self.states.iter().zip(&self.values) {
+            least = least.min(new - values[state as usize]);
+            values[state as usize] = new;
+        }
+        self.note_change(least);
+    }
+
+    /// Notes that every value has changed by `least` or more.
+    fn note_change(&mut self, least: f64) {
+        self.drift += if least < 0.0 { 1.0 } else { self.least_weight } * least;
+    }
+
+    /// A Gauss-Seidel sweep over the actions. Returns the largest change, in units of the original rows, and the number
     /// of states whose choice has changed.
-    fn sweep(&mut self, reverse: bool) -> (f64, usize) {
-        let (n, mut largest, mut switches) = (self.states.len(), 0.0f64, 0);
+    fn sweep(&mut self, mdp: &TabularMdp, values: &mut [f64], reverse: bool) -> (f64, usize) {
+        let (n, mut largest, mut switches, mut least) = (self.states.len(), 0.0f64, 0, 0.0f64);
         for index in 0..n {
-            let state = if reverse { n - 1 - index } else { index };
-            let (mut best, mut choice) = (f64::INFINITY, OUTSIDE);
-            let rows = self.rows[state] as usize..self.rows[state + 1] as usize;
-            let mut begin = self.ends[rows.start] as usize;
-            for row in rows {
-                let end = self.ends[row + 1] as usize;
-                let pairs = self.columns[begin..end].iter().zip(&self.weights[begin..end]);
-                let q =
-                    pairs.fold(self.constants[row], |sum, (&next, &weight)| sum + weight * self.values[next as usize]);
-                begin = end;
-                // Of equal actions the present one stays.
-                if q < best || q == best && row as u32 == self.choices[state] {
-                    (best, choice) = (q, row as u32);
+            let place = if reverse { n - 1 - index } else { index };
+            let state = self.states[place] as usize;
+            let value = values[state];
+            let present = self.choices[place];
+            // Of equal actions the present one stays.
+            let (mut best, mut choice) = match present.0 {
+                OUTSIDE => (f64::INFINITY, present),
+                row => (row_value(mdp, state, row as usize, present.1, values), present),
+            };
+            let drift = self.drift + least;
+            let (rows, local) = (mdp.rows(state), self.offsets[place] as usize..self.offsets[place + 1] as usize);
+            let (bounds, scales) = (&mut self.bounds[local.clone()], &self.scales[local]);
+            for ((row, bound), &scale) in rows.zip(bounds).zip(scales) {
+                if *bound + drift >= best || row as u32 == present.0 {
+                    continue;
+                }
+                let q = row_value(mdp, state, row, scale, values);
+                *bound = q - self.drift;
+                if q < best {
+                    (best, choice) = (q, (row as u32, scale));
                 }
             }
-            if choice == OUTSIDE {
-                self.values[state] = f64::INFINITY;
+            if choice.0 == OUTSIDE {
+                values[state] = f64::INFINITY;
                 continue;
             }
-            switches += usize::from(choice != self.choices[state]);
-            let change = (best - self.values[state]).abs() * self.scales[choice as usize];
-            largest = if change <= largest { largest } else { change };
-            self.values[state] = best;
-            self.choices[state] = choice;
+            switches += usize::from(choice.0 != present.0);
+            self.choices[place] = choice;
+            let change = best - value;
+            least = least.min(change);
+            let size = change.abs() / choice.1;
+            largest = if size <= largest { largest } else { size };
+            values[state] = best;
         }
+        self.note_change(least);
         self.backups += n as u64;
         (largest, switches)
     }
 
-    /// Compiles the equations of the policy.
-    fn collect(&mut self) {
+    /// Compiles the equations of the policy, without self-loops, and reads the values of the component.
+    fn collect(&mut self, mdp: &TabularMdp, places: &[u32], values: &[f64]) {
         self.equations.clear();
-        for &choice in &self.choices {
-            let row = choice as usize;
-            let entries = self.ends[row] as usize..self.ends[row + 1] as usize;
-            self.equations.push(self.constants[row], &self.columns[entries.clone()], &self.weights[entries]);
+        self.values.clear();
+        let mut upper = Vec::new();
+        for (place, (&state, &(row, scale))) in self.states.iter().zip(&self.choices).enumerate() {
+            let (successors, probabilities, cost) = mdp.row(row as usize);
+            let (factor, mut outside) = (mdp.discount() * scale, 0.0);
+            for (&next, &probability) in successors.iter().zip(probabilities) {
+                let column = places[next as usize];
+                if column < place as u32 {
+                    self.equations.columns.push(column);
+                    self.equations.weights.push(factor * probability);
+                } else if column == OUTSIDE {
+                    // Zero times infinity is not a number.
+                    outside += if probability > 0.0 { probability * values[next as usize] } else { 0.0 };
+                } else if column > place as u32 {
+                    upper.push((column, factor * probability));
+                }
+            }
+            self.equations.end_row(cost * scale + factor * outside, &mut upper);
+            self.values.push(values[state as usize]);
         }
     }
 
@@ -316,25 +279,57 @@ impl Component {
 
     /// Evaluates the policy by a solve of its equations. Returns whether this has reduced the residual; if not, the
     /// values are as before.
-    fn solve_equations(&mut self, accuracy: f64) -> bool {
-        let mut residual = Vec::new();
-        let before = self.equations.residual(&self.values, &mut residual);
+    fn solve_equations(&mut self, discounted: bool, accuracy: f64) -> bool {
+        let before = self.equations.residual(&self.values, &mut self.residual);
         let solved = match self.equations.solve_in_band() {
             Some(values) => values,
             None => {
-                let (correction, products) = self.equations.correction(&residual, accuracy);
+                let (correction, products) = self.equations.correction(&self.residual, accuracy);
                 self.backups += products * self.states.len() as u64;
                 self.values.iter().zip(&correction).map(|(value, change)| value + change).collect()
             }
         };
         self.backups += 2 * self.states.len() as u64;
-        let after = self.equations.residual(&solved, &mut residual);
-        // Also false if the new residual is not a number.
-        let possible = !self.undiscounted || solved.iter().all(|value| *value >= 0.0);
+        let after = self.equations.residual(&solved, &mut self.residual);
+        // Also false if the new residual is not a number. Without discount no value is negative, and the equations of a
+        // policy that may not end are singular.
+        let possible = discounted || solved.iter().all(|value| *value >= 0.0);
         let reduced = after < before && possible && largest(&solved).is_finite();
         if reduced {
             self.values = solved;
         }
         reduced
+    }
+}
+
+/// The value (k + rest) / (1 - g p) of a row of a state, without self-loop. The loop is left out of the sum: a subtraction
+/// afterwards would leave rounding that the scale makes large.
+#[inline(always)]
+fn row_value(mdp: &TabularMdp, state: usize, row: usize, scale: f64, values: &[f64]) -> f64 {
+    let (mut successors, mut probabilities, cost) = mdp.row(row);
+    if mdp.discount() < 1.0 && (scale == 1.0 || successors.len() >= LONG_ROW) {
+        let mut rest = 0.0;
+        if scale != 1.0 {
+            while let Some(at) = successors.iter().position(|&next| next as usize == state) {
+                rest += dot_at(&successors[..at], &probabilities[..at], values);
+                (successors, probabilities) = (&successors[at + 1..], &probabilities[at + 1..]);
+            }
+        }
+        return (cost + mdp.discount() * (rest + dot_at(successors, probabilities, values))) * scale;
+    }
+    let rest = successors.iter().zip(probabilities).fold(0.0, |sum, (&next, &probability)| {
+        // Without discount, a successor of probability zero may have an infinite value.
+        if next as usize == state || probability == 0.0 { sum } else { sum + probability * values[next as usize] }
+    });
+    (cost + mdp.discount() * rest) * scale
+}
+
+/// Probability with which a row stays in its state.
+fn staying(mdp: &TabularMdp, state: u32, row: usize) -> f64 {
+    let (successors, probabilities, _) = mdp.row(row);
+    // The search alone reads few bytes of a long row.
+    match successors.contains(&state) {
+        true => successors.iter().zip(probabilities).filter(|entry| *entry.0 == state).map(|entry| entry.1).sum(),
+        false => 0.0,
     }
 }

@@ -31,6 +31,7 @@ impl Components {
         let mut open: Vec<u32> = Vec::new();
         let mut path: Vec<(u32, usize, usize, u32)> = Vec::new();
         let (mut visits, stop, parts) = (0, StopFlag::current(), mdp.parts());
+        let all = fixed.iter().filter(|fixed| !**fixed).count() as u32;
         let frame = |state: u32, rank: u32| {
             let rows = mdp.rows(state as usize);
             (state, parts.row_offsets[rows.start], parts.row_offsets[rows.end], rank)
@@ -41,11 +42,13 @@ impl Components {
                 continue;
             }
             visits += 1;
+            let first = visits;
             ranks[root as usize] = visits;
             open.push(root);
             path.push(frame(root, visits));
             while let Some(&mut (state, ref mut entry, end, ref mut lowest)) = path.last_mut() {
-                if *entry < end {
+                // Further entries would change nothing if all states are found and the rank is the lowest possible.
+                if *entry < end && !(visits == all && *lowest == first) {
                     let (next, probability) = (parts.successors[*entry], parts.probabilities[*entry]);
                     *entry += 1;
                     let rank = ranks[next as usize];

@@ -21,6 +21,9 @@ const MOST_WORK_PER_STATE: usize = 2_000;
 /// Largest number of elements of a band.
 const MOST_ELEMENTS: usize = 1 << 23;
 
+/// Entries from which a row is summed by four sums side by side.
+pub(crate) const LONG_ROW: usize = 12;
+
 /// Smallest pivot that is not taken for rounding: the equations of a policy that may not end are singular.
 const LEAST_PIVOT: f64 = 1e-13;
 
@@ -45,19 +48,12 @@ impl Equations {
         self.constants.clear();
     }
 
-    /// Appends a row.
-    pub fn push(&mut self, constant: f64, columns: &[u32], weights: &[f64]) {
-        let row = self.constants.len() as u32;
-        for lower in [true, false] {
-            for (&column, &weight) in columns.iter().zip(weights) {
-                if (column < row) == lower {
-                    self.columns.push(column);
-                    self.weights.push(weight);
-                }
-            }
-            if lower {
-                self.middles.push(self.columns.len() as u32);
-            }
+    /// Ends a row whose entries of the lower triangle have been appended, with its other entries.
+    pub fn end_row(&mut self, constant: f64, upper: &mut Vec<(u32, f64)>) {
+        self.middles.push(self.columns.len() as u32);
+        for (column, weight) in upper.drain(..) {
+            self.columns.push(column);
+            self.weights.push(weight);
         }
         self.ends.push(self.columns.len() as u32);
         self.constants.push(constant);
@@ -70,8 +66,7 @@ impl Equations {
     #[inline]
     fn dot(&self, entries: std::ops::Range<u32>, values: &[f64]) -> f64 {
         let entries = entries.start as usize..entries.end as usize;
-        let pairs = self.columns[entries.clone()].iter().zip(&self.weights[entries]);
-        pairs.fold(0.0, |sum, (&column, &weight)| sum + weight * values[column as usize])
+        dot_at(&self.columns[entries.clone()], &self.weights[entries], values)
     }
 
     /// One Gauss-Seidel sweep. Returns the largest change.
@@ -222,6 +217,29 @@ impl Equations {
         }
         Some(x)
     }
+}
+
+/// The sum of the products of weights and of the values at these indices, always in the same order.
+#[inline(always)]
+pub(crate) fn dot_at(indices: &[u32], weights: &[f64], values: &[f64]) -> f64 {
+    if indices.len() >= LONG_ROW {
+        return long_dot_at(indices, weights, values);
+    }
+    indices.iter().zip(weights).fold(0.0, |sum, (&index, &weight)| sum + weight * values[index as usize])
+}
+
+/// [`dot_at`] by four sums side by side: an addition need not wait for the one before.
+#[inline(never)]
+fn long_dot_at(indices: &[u32], weights: &[f64], values: &[f64]) -> f64 {
+    let product = |sum: f64, (&index, &weight): (&u32, &f64)| sum + weight * values[index as usize];
+    let (mut sums, split) = ([0.0; 4], indices.len() / 4 * 4);
+    for (indices, weights) in indices[..split].chunks_exact(4).zip(weights.chunks_exact(4)) {
+        for lane in 0..4 {
+            sums[lane] = product(sums[lane], (&indices[lane], &weights[lane]));
+        }
+    }
+    let rest = indices[split..].iter().zip(&weights[split..]).fold(0.0, product);
+    (sums[0] + sums[1]) + (sums[2] + sums[3]) + rest
 }
 
 /// Largest |x|; NaN if an element is.

@@ -120,3 +120,18 @@ fn a_first_policy_that_never_ends_is_left() {
         );
     }
 }
+
+#[test]
+fn states_that_hardly_ever_change_do_not_spoil_the_precision_of_others() {
+    // State 0 mostly stays, and the value of state 1 follows it.
+    let rows: Rows = vec![
+        vec![(0.7, vec![(0, 0.9997), (1, 0.0003)]), (0.9, vec![(1, 0.5), (0, 0.5)])],
+        vec![(0.3, vec![(0, 0.4), (2, 0.6)]), (0.5, vec![(0, 1.0)])],
+        vec![(1.0, vec![(1, 0.9), (2, 0.1)])],
+    ];
+    let mdp = tabular(&rows, 0.9999).unwrap();
+    for evaluation in [Evaluation::Auto, Evaluation::Solve] {
+        let solution = policy_iteration(&mdp, evaluation, None, StopRule::new(1e-6).unwrap(), None).unwrap();
+        check_solution(&mdp, 1e-6, &solution);
+    }
+}
