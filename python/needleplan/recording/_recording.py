@@ -14,14 +14,14 @@ from mcap.records import Schema
 
 from needleplan.artifacts import call_repr, path_text, short_html
 from needleplan.errors import DataError, InputError, Mistake
-from needleplan.recording._align import trial_of_channels
+from needleplan.recording._align import align, trial_of_channels
 from needleplan.recording._data_files import PathLike
 from needleplan.recording._journal import SESSION, Session
 from needleplan.recording._message_kinds import Json, MessageKind, Packed
 from needleplan.recording._plot import plot_channels
 from needleplan.recording._sample_kinds import FIBRE, FORCE, IMAGE, POSE, STAGE
 from needleplan.recording.mcap_bytes import mapped, require_intact, topic_chunks
-from needleplan.signals import Record
+from needleplan.signals import Record, RecordFrame, Role
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -316,6 +316,26 @@ class Recording:
         ]
         trial = trial_of_channels(channels, self.session.force_axis, str(self.path))
         return replace(trial, trial=self.session.title or self.path.stem)
+
+    def tracker_noise(self) -> Record:
+        """Return the positions of the tracker as a record of its noise, with the depth of the stage.
+
+        Returns
+        -------
+        Record
+            Positions (mm) in the frame of the tracker, of the good poses during samples of the stage.
+
+        Raises
+        ------
+        DataError
+            The recording has no topic /pose or /stage, or no two good poses during samples of the stage.
+
+        """
+        poses, stage = self.columns("/pose"), self.columns("/stage")
+        good = poses["health"] == "good"
+        tracked = Record({name: poses[name][good] for name in ("time_s", "x_mm", "y_mm", "z_mm")}, self.path.stem)
+        depth = Record({name: stage[name] for name in ("time_s", "depth_mm")}, self.path.stem)
+        return replace(align(tracked, depth), role=Role.NOISE, frame=RecordFrame())
 
     def plot(self, topics: Iterable[str] | None = None) -> list[Axes]:
         """Draw channels over time, and the force over the depth if the recording has both.
