@@ -57,7 +57,7 @@ def read_nifti_vectors(path: Path) -> tuple[NDArray[np.float32], NDArray[np.floa
     if intent not in _VECTOR_AXES:
         rule = "must be 1007 (vectors in LPS, as ITK writes them) or 1006 (displacements in RAS)"
         raise ScenarioError(Mistake("intent_code", f"{intent}", rule), str(path))
-    whole = values.reshape(*values.shape[:3], -1, _COMPONENTS)
+    whole = np.asarray(values, np.float32).reshape(*values.shape[:3], -1, _COMPONENTS)
     signs = np.array(_VECTOR_AXES[intent], np.float32)
     return np.asarray(np.moveaxis(whole * signs, (3, 4), (0, 1)), np.float32), affine
 

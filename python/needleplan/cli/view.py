@@ -23,7 +23,7 @@ from needleplan.cli.options import (
     require_outputs,
     start_pose,
 )
-from needleplan.cli.parser import whole
+from needleplan.cli.parser import Parser, whole
 from needleplan.cli.uncertainty import add_uncertainty, read_error, read_uncertainty
 from needleplan.errors import InputError, Mistake
 from needleplan.extras import require
@@ -42,7 +42,7 @@ _TABLE_ENDINGS = (".h5", ".hdf5")
 
 def add_to(commands: Any) -> None:
     """Add this command and its options to the program's parser."""
-    parser: argparse.ArgumentParser = commands.add_parser(
+    parser: Parser = commands.add_parser(
         "view",
         help="see and change a plan in the browser",
         description="Serve a page on this machine that shows a plan and plans again while you drag entry, target and "
