@@ -1,37 +1,35 @@
 """Insertions in the lab twin while the patient breathes: gated, ungated, and with tissue at rest.
 
-python benches/python/breathing_gate.py > benches/results/breathing_gate.md
-python benches/python/breathing_gate.py --runs 1 --spacing 4      # short test run
+PYTHONPATH=. python benches/python/breathing_gate.py > benches/results/breathing_gate.md
+PYTHONPATH=. python benches/python/breathing_gate.py --runs 1      # short test run
 
-The anatomy is the invented prostate. Breathing moves all tissue, needle and target in it, across the entry, and dwells
-at exhalation. An insertion has the same tip noise in every row; its breath has its own phase.
+The anatomy is the box of the tests of insertions. Breathing moves all tissue, needle and target in it, across the
+entry, and dwells at exhalation. An insertion has the same tip noise in every row; its breath has its own phase.
 """
 
 from __future__ import annotations
 
 import argparse
 import sys
-import tempfile
 import time
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import machine
 import numpy as np
 
-from needleplan.anatomy import TARGET, Anatomy, AnatomyFile, Breathing, SpaceScenario, write_phantom
-from needleplan.config import read_toml
-from needleplan.control import BreathGate, Insertion, Options, RunEventName
+from needleplan.anatomy import TARGET, Breathing
+from needleplan.control import BreathGate, RunEventName
 from needleplan.estimation.tip import TipSettings
 from needleplan.models import TipFrame
-from needleplan.planning import SpaceTable, plan_space, wilson
-from needleplan.simulation import Effects, Robot, Simulation, simulated_station
+from needleplan.planning import SpaceTable, wilson
+from needleplan.simulation import Effects
+from tests.control.space_scenes import FAST, box_table, inserted, space_station
 
 PERIOD_S = 4.0
 # Rows of the table: motion of the tissue from exhalation to inspiration (mm), and gate (mm).
-KINDS: tuple[tuple[float, float | None], ...] = ((0.0, None), (10.0, 3.0), (10.0, None), (5.0, None))
+KINDS: tuple[tuple[float, float | None], ...] = ((0.0, None), (10.0, 3.0), (3.0, None), (10.0, None))
 
 
 @dataclass(frozen=True)
@@ -52,18 +50,13 @@ def run(table: SpaceTable, full_mm: float, within_mm: float | None, seed: int) -
         coil_offset_mm=3.0, tracker_noise_mm=0.1, tracker_angle_noise_rad=0.01, tracker_wander_mm=0.05,
         respiration_across_mm=full_mm / 2, respiration_rest=1.0, respiration_period_s=PERIOD_S,
     )  # fmt: skip
-    simulation = Simulation.read("steering")
-    setup = replace(simulation.setup, effects=effects, robot=Robot(servo_hz=400, bandwidth_hz=10.0))
-    start = table.best_entry(exact=True)
-    station = simulated_station(replace(simulation, setup=setup), table, start, seed)
     gate = None
     if within_mm is not None:
         breathing = Breathing(full_mm=full_mm, still=("bone",), period_s=PERIOD_S)
-        gate = BreathGate(breathing, within_mm, station.exhaled_s)
-    options = Options(velocity_mm_s=10.0, torsion=station.torsion, gate=gate, replan=False)
+        gate = BreathGate(breathing, within_mm, space_station(table, effects, seed).exhaled_s)
     settings = TipSettings(heading_sd_rad_sqrt_mm=table.scenario.noise_rad_sqrt_mm)
-    with Insertion(table, station, options, registration=station.registration, tip_settings=settings) as insertion:
-        report = insertion.run()
+    report, station = inserted(table, effects, seed, replace(FAST, gate=gate, replan=False), tip_settings=settings)
+    start = table.best_entry()
     heading, elevation = start.pose.angles_rad
     line = TipFrame.planar(0.0, 0.0, heading).raised(elevation)
     along, across = station.lab.plant.breath_mm
@@ -74,14 +67,6 @@ def run(table: SpaceTable, full_mm: float, within_mm: float | None, seed: int) -
         float(np.linalg.norm(in_tissue - table.scenario.target_mm)),
         len(waits), sum(waits), report.duration_s, str(report.outcome),
     )  # fmt: skip
-
-
-def prostate(folder: Path, spacing_mm: float) -> SpaceTable:
-    """Return the table of the invented prostate."""
-    write_phantom("prostate", folder, 1)
-    file = read_toml(folder / "anatomy.toml", AnatomyFile)
-    lattice = replace(file.lattice, spacing_mm=spacing_mm, step_mm=2 * spacing_mm)
-    return plan_space(SpaceScenario.of(Anatomy.of(replace(file, lattice=lattice), folder)))
 
 
 def row(name: str, ends: Sequence[GatedEnd]) -> str:
@@ -102,21 +87,18 @@ def main() -> int:
     """Run all insertions and print the page."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--runs", type=int, default=50, help="insertions for each row (50)")
-    parser.add_argument("--spacing", type=float, default=2.0, help="distance of grid points in mm (2)")
     options = parser.parse_args()
     began, of = time.time(), machine.description()
-    rows = []
-    with tempfile.TemporaryDirectory() as folder:
-        table = prostate(Path(folder), options.spacing)
-    promised = table.estimate(table.best_entry(exact=True))
+    rows, table = [], box_table()
+    promised = table.estimate(table.best_entry())
     for full_mm, gate in KINDS:
         name = "none" if not full_mm else f"{full_mm:g} mm, " + ("free" if gate is None else f"gate {gate:g} mm")
         rows.append(row(name, [run(table, full_mm, gate, seed) for seed in range(options.runs)]))
         print(rows[-1], file=sys.stderr)
     print("# Insertions while the patient breathes\n")
     print(f"{of['processor']}, commit {of['commit']}, {of['date']}; {time.time() - began:.0f} s.")
-    print(f"Invented prostate, lattice of {options.spacing:g} mm; success as planned {promised}.")
-    print(f"Breathing: displacement from exhalation to inspiration, across the entry, in {PERIOD_S:g} s; 10 mm/s.")
+    print(f"Box with a lattice of 4 mm; success as planned {promised}.")
+    print(f"Breathing: displacement from exhalation to inspiration, across the entry, in {PERIOD_S:g} s; 20 mm/s.")
     print("Success: the true tip ends in the target, both in the tissue. Error: distance of the true tip from the")
     print("centroid of the target, in the tissue. Ended early: before the depth of the target, by the outcome.\n")
     print(

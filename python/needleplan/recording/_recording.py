@@ -88,24 +88,26 @@ class Recording:
 
     >>> import tempfile
     >>> from pathlib import Path
-    >>> from needleplan.devices import ForceSample, StageSample, Stamp
-    >>> from needleplan.recording import EVENT, FORCE, STAGE, Recorder, Recording
+    >>> from needleplan.devices import ForceSample, PoseSample, StageSample, Stamp
+    >>> from needleplan.recording import EVENT, FORCE, POSE, STAGE, Recorder, Recording
     >>> folder = tempfile.TemporaryDirectory()
     >>> path = Path(folder.name) / "run.mcap"
     >>> with Recorder(path) as recorder:
     ...     start_ns = recorder.session.monotonic_ns
     ...     _ = recorder.channel("/event", EVENT).put(start_ns, {"name": "begin", "cause": "operator"})
     ...     force, stage = recorder.channel("/force", FORCE), recorder.channel("/stage", STAGE)
+    ...     pose = recorder.channel("/pose", POSE)
     ...     for number in range(3):
     ...         stamp = Stamp(start_ns + number * 1_000_000_000, number)
     ...         _ = force.put(stamp.received_ns, ForceSample(stamp, (0.0, 0.0, 0.5 * number), (0.0, 0.0, 0.0)))
     ...         _ = stage.put(stamp.received_ns, StageSample(stamp, 5.0 * number, 5.0, 0.0, moving=True))
+    ...         _ = pose.put(stamp.received_ns, PoseSample(stamp, (0.0, 0.0, number / 10), (1.0, 0.0, 0.0, 0.0), 0.0))
 
     Read the recording:
 
     >>> recording = Recording.read(path)
     >>> recording
-    <Recording run.mcap: 4 topics, 9 messages, 2 s>
+    <Recording run.mcap: 5 topics, 12 messages, 2 s>
     >>> [message.values["cause"] for message in recording.messages(["/event"])]
     ['operator']
     >>> recording.is_table("/force"), recording.is_table("/event")
@@ -114,8 +116,10 @@ class Recording:
     [0.0, 5.0, 10.0]
     >>> recording.trial()["force_n"].tolist()
     [0.0, 0.5, 1.0]
+    >>> recording.tracker_noise()["z_mm"].tolist()
+    [0.0, 0.1, 0.2]
     >>> [axes.get_ylabel() for axes in recording.plot()]
-    ['force (N)', 'depth (mm)', 'axial force (N)']
+    ['force (N)', 'depth (mm)', 'position (mm)', 'axial force (N)']
     >>> folder.cleanup()
 
     """
