@@ -7,6 +7,7 @@ import math
 from dataclasses import replace
 from pathlib import Path
 
+import nibabel
 import nrrd
 import numpy as np
 import pytest
@@ -16,7 +17,7 @@ from needleplan.errors import ScenarioError
 from needleplan.planning import SpaceTable, plan_space, success_in_breath
 from needleplan.planning._space_truth import reached_in_space
 from needleplan.sweep import Sweep
-from tests.anatomy.volumes import NAMES, TEXT, box, write
+from tests.anatomy.volumes import NAMES, TEXT, anatomy, box, write
 from tests.cli.commands import needleplan
 
 BREATH = '\n[breathing]\nfull_mm = 8.0\nfade_mm = 20.0\nstill = ["vessel"]\ntoward = [1.0, 0.0, 0.0]\n'
@@ -73,6 +74,46 @@ def test_a_field_moves_as_its_space_says(tmp_path: Path) -> None:
     assert np.array_equal(planned.volume.labels, moved.volume.labels)
     assert planned.exhaled is not None
     assert np.array_equal(planned.exhaled.volume.labels, anatomy.volume.labels)
+
+
+def test_a_field_of_simpleitk_is_in_lps_and_one_of_displacements_in_ras(tmp_path: Path) -> None:
+    itk = pytest.importorskip("SimpleITK")
+    values = np.zeros((4, 5, 6, 3))  # k, j, i, and a vector to the left in LPS: R
+    values[..., 0], values[..., 2] = -3.0, 0.5
+    image = itk.GetImageFromArray(values.astype(np.float32), isVector=True)
+    image.SetSpacing((20.0, 20.0, 30.0))
+    image.SetOrigin((-100.0, -100.0, -10.0))
+    itk.WriteImage(image, str(tmp_path / "field.nii"))
+    same = nibabel.load(tmp_path / "field.nii")
+    same.header.set_intent(1006)
+    nibabel.save(same, tmp_path / "other.nii")
+    for name, right in (("field.nii", 3.0), ("other.nii", -3.0)):
+        motion = moving(tmp_path, f'\n[breathing]\nfull_mm = 8.0\nfield = "{name}"\n').motion
+        assert motion is not None
+        (phase,) = motion.phases
+        assert phase.values.shape == (3, 6, 5, 4)
+        assert phase.at(np.array([[5.0, 5.0, 5.0]]))[0] * math.hypot(3.0, 0.5) == pytest.approx([right, 0.0, 0.5])
+        assert phase.affine[:3, 3] == pytest.approx([100.0, 100.0, -10.0])
+
+
+def test_phases_have_the_levels_of_their_largest_displacement(tmp_path: Path) -> None:
+    """Three phases in one 5-D file, the first at rest: forwards, then to the right, as tissue that loops."""
+    values = np.zeros((3, 3, 3, 3, 3), np.float32)
+    values[..., 1, :], values[..., 2, :] = [0.0, -2.0, 0.0], [-6.0, -2.0, 0.0]  # LPS
+    image = nibabel.Nifti1Image(values, np.diag([30.0, 30.0, 40.0, 1.0]))
+    image.header.set_intent(1007)
+    image.set_sform(image.affine, 1)
+    nibabel.save(image, tmp_path / "phases.nii")
+    motion = moving(tmp_path, '\n[breathing]\nfull_mm = 10.0\nfield = ["phases.nii"]\n').motion
+    assert motion is not None
+    first, second = (phase.level for phase in motion.phases)
+    assert (first, second) == (pytest.approx(2 / math.hypot(6, 2)), 1.0)
+    scale = 10 / math.hypot(6, 2)
+    for level, wanted in ((first / 2, [0, 1, 0]), (first, [0, 2, 0]), ((1 + first) / 2, [3, 2, 0]), (1.0, [6, 2, 0])):
+        _, (place,) = motion.moved(anatomy(box()).volume, level, [(10.0, 10.0, 10.0)], None)
+        assert np.array(place) - 10 == pytest.approx(scale * np.array(wanted), abs=1e-5)
+    with pytest.raises(ScenarioError, match="from exhalation to full inspiration"):
+        moving(tmp_path, '\n[breathing]\nfull_mm = 10.0\nfield = ["phases.nii", "phases.nii"]\n')
 
 
 def test_balls_move_with_their_tissue(tmp_path: Path) -> None:
@@ -140,7 +181,7 @@ def test_a_sweep_over_levels_finds_the_field(tmp_path: Path) -> None:
     half = problem.changed({**problem.raw, "breathing": {**problem.raw["breathing"], "level": 0.5}})
     assert isinstance(half, AnatomyFile)
     assert half.breathing is not None
-    assert half.breathing.field == str(tmp_path / "field.nrrd")
+    assert half.breathing.field == (str(tmp_path / "field.nrrd"),)
     assert problem.identity(half) != problem.identity(problem.changed(problem.raw))
 
 
@@ -153,8 +194,8 @@ def test_a_sweep_over_levels_finds_the_field(tmp_path: Path) -> None:
         ('full_mm = 8.0\nstill = ["vessel"]\nlevel = 2.0', "breathing.level = 2"),
         ('full_mm = 8.0\nstill = ["vesel"]', "anatomy.toml: breathing.still"),
         ('full_mm = 8.0\nfield = "none.nrrd"', "none.nrrd"),
-        ('full_mm = 8.0\nfield = "box.nii.gz"', "must be an NRRD file"),
-        ('full_mm = 8.0\nfield = "field.nrrd"', "not all of them 0"),
+        ('full_mm = 8.0\nfield = "box.nii.gz"', "dim = 20 x 20 x 30: must be voxels"),
+        ('full_mm = 8.0\nfield = "field.nrrd"', "= 0: must be the largest displacements"),
     ],
 )
 def test_what_is_wrong_is_refused(tmp_path: Path, lines: str, says: str) -> None:

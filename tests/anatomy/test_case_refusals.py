@@ -172,6 +172,13 @@ def moved(folder: Path) -> None:
     sitk.WriteImage(image, str(folder / "rib_left_7.nii.gz"))
 
 
+def moved_and_fine(folder: Path) -> None:
+    image = mask("rib_left_7")
+    image.SetOrigin([500.0, 0.0, 0.0])
+    image.SetSpacing([size / 2 for size in image.GetSpacing()])
+    sitk.WriteImage(image, str(folder / "rib_left_7.nii.gz"))
+
+
 def without_orientation(folder: Path) -> None:
     image = nibabel.load(folder / "spleen.nii.gz")
     image.header["qform_code"] = image.header["sform_code"] = 0
@@ -203,6 +210,7 @@ def text(name: str, content: str) -> Callable[[Path], None]:
     ("change", "choices", "message"),
     [
         (moved, {}, "does not overlap"),
+        (moved_and_fine, {}, "rib_left_7.nii.gz: its grid does not overlap with that of any other file"),
         (without_orientation, {}, "spleen.nii.gz: orientation"),
         (twice, {}, "liver: is in "),
         (overlapping, {}, r"hepatic_artery: overlaps the target tumor by 0\.\d+ ml"),

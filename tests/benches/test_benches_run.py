@@ -27,6 +27,7 @@ def _once(call: Callable[[], object], _: int) -> float:
 # Words of the command line, and constants of the module, that make a bench short.
 SHORT: dict[str, tuple[str, dict[str, Any]]] = {
     "adaptation": ("--seeds 2 --scenarios four_obstacles --ratios 1", {}),
+    "breathing_gate": ("--runs 1", {"KINDS": ((10.0, 3.0),)}),
     "compare_mdp": ("--only none --time-limit 1", {}),
     "curvature": ("--trials 1", {}),
     "damaged_files": ("--files 1", {}),

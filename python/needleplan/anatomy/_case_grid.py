@@ -41,8 +41,11 @@ class CommonGrid:
                 mistakes.append(Mistake(structure.source, "", rule))
             files.append((low, high))
             boxes.append(grid._box(structure, structure.corner, structure.corner + structure.inside.shape))
-        if mistakes:
-            raise ScenarioError(list(dict.fromkeys(mistakes)))
+        if mistakes := list(dict.fromkeys(mistakes)):
+            sources = {structure.source for structure in structures}
+            if len(mistakes) == len(sources) - 1 > 1:
+                mistakes = [Mistake(finest.source, "", "its grid does not overlap with that of any other file")]
+            raise ScenarioError(mistakes)
         # One voxel around the structures, but none that no file has: there, the body is cut and has no skin.
         (start, end), (first, last) = _whole_voxels(boxes), _whole_voxels(files)
         start, end = np.maximum(start - 1, first), np.minimum(end + 1, last)

@@ -24,7 +24,7 @@ from needleplan.errors import Mistake, ScenarioError
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-__all__ = ["extension_names", "image_bytes", "nifti_bytes", "read_nifti"]
+__all__ = ["extension_names", "image_bytes", "nifti_bytes", "read_nifti", "read_nifti_vectors"]
 
 # Sizes (bytes) of the headers of NIfTI-1 and NIfTI-2, which are also their first number.
 _HEADER_1, _HEADER_2 = 348, 540
@@ -34,27 +34,57 @@ _LONGEST_EXTENSIONS = 2**24
 _UNKNOWN_UNIT, _MM, _UNITS = 0, 2, {1: "meter", 3: "micron"}
 # Label of an extension: its number and its name.
 _NAME = re.compile(rb'<Label\b[^>]*?\bKey="(\d{1,5})"[^>]*>(?:<!\[CDATA\[)?([^<>\]]{1,200})')
+# Codes of the intent of vectors, with the signs that turn their axes into RAS, and number of components of a vector.
+_VECTOR_AXES, _COMPONENTS = {1007: (-1, -1, 1), 1006: (1, 1, 1)}, 3
 # Largest contradiction of sform and qform, in voxels.
 _CONTRADICTION = 0.1
 
 
 def read_nifti(path: Path) -> LabelVolume:
     """Return the labels in a NIfTI file. Raises ScenarioError if it is damaged or contains no labels with a place."""
+    values, affine, _ = _read(path)
+    return LabelVolume(whole_labels(values.reshape(values.shape[:3]), str(path)), affine, source=str(path))
+
+
+def read_nifti_vectors(path: Path) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
+    """Return displacements in RAS mm, shape (n, 3, ni, nj, nk), and the matrix from their voxels to RAS mm.
+
+    The file has n fields: its shape is (ni, nj, nk, n, 3), or (ni, nj, nk, 3) for one. The intent says the axes of the
+    vectors: `NIFTI_INTENT_VECTOR` LPS, as ITK and ANTs write it, `NIFTI_INTENT_DISPVECT` RAS, which ITK converts since
+    5.4 (`ConvertRASDisplacementVectors`). Raises ScenarioError if the file is damaged or has no such vectors.
+    """
+    values, affine, intent = _read(path, vectors=True)
+    if intent not in _VECTOR_AXES:
+        rule = "must be 1007 (vectors in LPS, as ITK writes them) or 1006 (displacements in RAS)"
+        raise ScenarioError(Mistake("intent_code", f"{intent}", rule), str(path))
+    whole = np.asarray(values, np.float32).reshape(*values.shape[:3], -1, _COMPONENTS)
+    signs = np.array(_VECTOR_AXES[intent], np.float32)
+    return np.asarray(np.moveaxis(whole * signs, (3, 4), (0, 1)), np.float32), affine
+
+
+def _read(path: Path, *, vectors: bool = False) -> tuple[NDArray[np.generic], NDArray[np.float64], int]:
+    """Return the values of a volume, or of fields of vectors, the matrix from voxels to RAS mm, and the intent."""
     source, compressed = str(path), path.name.lower().endswith(".gz")
-    stored = path.stat().st_size
-    with path.open("rb") as stream:
-        header = _header(_start(stream, compressed, source), source)
-        shape = header.get_data_shape()
-        voxels = counted_bytes(shape, header.get_data_dtype().itemsize, "dim", source)
-        offset = float(header["vox_offset"])
-        if not int(header["sizeof_hdr"]) <= offset <= _LONGEST_EXTENSIONS:
-            raise ScenarioError(Mistake("vox_offset", f"{offset:g}", "must lie behind the header"), source)
-        require_size(int(offset) + voxels, stored, compressed, "dim", source)
-        affine = _affine(header, shape, source)
-        stream.seek(0)
-        data = exact_bytes(stream, int(offset) + voxels, source, compressed=compressed)
-    values = _values(header, data, source)
-    return LabelVolume(whole_labels(values, source), affine, source=source)
+    try:
+        stored = path.stat().st_size
+        with path.open("rb") as stream:
+            header = _header(_start(stream, compressed, source), source)
+            shape, itemsize = header.get_data_shape(), header.get_data_dtype().itemsize
+            if vectors and not (len(shape) in (4, 5) and shape[-1] == _COMPONENTS):
+                rule = f"must be voxels x voxels x voxels x {_COMPONENTS}, or with the phases before the last axis"
+                raise ScenarioError(Mistake("dim", " x ".join(map(str, shape)), rule), source)
+            each = itemsize * int(np.prod(shape[3:])) if vectors else itemsize
+            voxels = counted_bytes(shape[:3] if vectors else shape, each, "dim", source)
+            offset = float(header["vox_offset"])
+            if not int(header["sizeof_hdr"]) <= offset <= _LONGEST_EXTENSIONS:
+                raise ScenarioError(Mistake("vox_offset", f"{offset:g}", "must lie behind the header"), source)
+            require_size(int(offset) + voxels, stored, compressed, "dim", source)
+            affine = _affine(header, shape, source)
+            stream.seek(0)
+            data = exact_bytes(stream, int(offset) + voxels, source, compressed=compressed)
+    except OSError as error:
+        raise ScenarioError(f"cannot be read: {error.strerror}", source) from None
+    return _values(header, data, source), affine, int(header["intent_code"])
 
 
 def extension_names(path: Path) -> dict[str, int]:
@@ -175,4 +205,4 @@ def _values(header: Any, data: bytes, source: str) -> np.ndarray:
             scaled = values if slope in (None, 1.0) and not intercept else values * slope + (intercept or 0.0)
     except Exception as error:
         raise ScenarioError(f"has voxels that cannot be read: {error}", source) from None
-    return np.asarray(scaled.reshape(scaled.shape[:3]))
+    return np.asarray(scaled)

@@ -98,9 +98,6 @@ def read_displacements(path: Path) -> tuple[np.ndarray, np.ndarray]:
     The file is one of ITK or 3D Slicer: vectors as the first axis, in the space that the header states. Raises
     ScenarioError.
     """
-    if not path.name.lower().endswith((".nrrd", ".nhdr")):
-        rule = "must be an NRRD file (.nrrd) with vectors as its first axis; 3D Slicer and ITK export one"
-        raise ScenarioError(Mistake("breathing.field", path.name, rule), str(path))
     values, affine, header = _listed(path, ("vector", "covariant-vector", "list"), "vectors")
     if len(values) != _COMPONENTS:
         raise ScenarioError(

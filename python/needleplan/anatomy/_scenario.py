@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -230,13 +231,33 @@ class SpaceScenario:
 
     def rescaled(self, factor: float) -> SpaceScenario:
         """Return the scenario with all curvatures multiplied by `factor`. Raises ScenarioError for invalid radii."""
-        needle, regions = self.needle, self.file.anatomy
-        curvature = tuple(replace(tissue, radius_mm=tissue.radius_mm / factor) for tissue in regions.curvature)
+        return self.with_radii([radius_mm / factor for radius_mm in self.grid.radii_mm])
+
+    def with_radii(self, radii_mm: Sequence[float]) -> SpaceScenario:
+        """Return the scenario with other radii of the needle's arcs.
+
+        Parameters
+        ----------
+        radii_mm : sequence of float
+            Radii (mm) in the order of `AnatomyGrid.radii_mm`: of the needle, and of each `[[anatomy.curvature]]`.
+
+        Returns
+        -------
+        SpaceScenario
+
+        Raises
+        ------
+        ScenarioError
+            A radius is out of range.
+        """
+        needle_mm, *tissues_mm = radii_mm
+        regions = self.file.anatomy
+        curvature = tuple(
+            replace(tissue, radius_mm=radius) for tissue, radius in zip(regions.curvature, tissues_mm, strict=True)
+        )
         file = replace(
             self.file,
-            needle=replace(needle, curvature_radius_mm=needle.curvature_radius_mm / factor),
+            needle=replace(self.needle, curvature_radius_mm=needle_mm),
             anatomy=replace(regions, curvature=curvature),
         )
-        return SpaceScenario(
-            file, replace(self.grid, radii_mm=tuple(radius_mm / factor for radius_mm in self.grid.radii_mm))
-        )
+        return SpaceScenario(file, replace(self.grid, radii_mm=tuple(radii_mm)), self.source)

@@ -8,14 +8,18 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from needleplan.artifacts import FileKind, file_format
 from needleplan.cli.answer import note, print_first, print_json, working
 from needleplan.cli.data_options import add_data, data_files, naming, read_data, read_files
+from needleplan.cli.insertion_data import read_insertions
 from needleplan.cli.options import add_answer, add_output, require_free
 from needleplan.cli.parser import whole
 from needleplan.errors import InputError, Mistake
 
 if TYPE_CHECKING:
+    from needleplan.models import ModelFile
     from needleplan.scenario import Scenario
+    from needleplan.signals import Record
 
 __all__ = ["add_to", "run"]
 
@@ -35,7 +39,12 @@ def add_to(commands: Any) -> None:
         "if an effect was named. Exit code 0: no effect is missing, or it was named; 1: the missing effect could not "
         "be named.",
     )
-    parser.add_argument("model", metavar="MODEL.toml", help="the model, as needleplan identify writes it")
+    parser.add_argument(
+        "model",
+        metavar="MODEL.toml",
+        help="the model, as needleplan identify writes it; or an anatomy, with recordings (.mcap) of insertions by its "
+        "3D table: DIR/anatomy.toml has the diagnosed curvature",
+    )
     add_data(parser)
     add_output(parser, "DIR", "write the results into this folder", required=True)
     parser.add_argument(
@@ -74,7 +83,6 @@ def run(options: argparse.Namespace) -> int:
     from needleplan.artifacts import require_different, require_folder
     from needleplan.diagnosis import Verdict
     from needleplan.diagnosis.data import check_data
-    from needleplan.diagnosis.references import identified_from
     from needleplan.models import ModelFile
     from needleplan.models.effects import register_file
     from needleplan.reports.diagnosis import (
@@ -88,12 +96,14 @@ def run(options: argparse.Namespace) -> int:
         write_folder,
     )
     from needleplan.reports.diagnosis.corrected_plan import corrected_plan_lines, write_scenario
+    from needleplan.reports.diagnosis.diagnosed_anatomy import corrected_anatomy_lines, write_anatomy
 
     if not 1 <= options.trials <= MOST_TRIALS:
         raise InputError(Mistake("--trials", str(options.trials), f"must be 1 to {MOST_TRIALS}"))
     for file in options.effects:
         register_file(file)
-    scenario = _scenario(options)
+    is_anatomy = file_format(options.model).kind is FileKind.ANATOMY
+    scenario = None if is_anatomy else _scenario(options)
     require_folder(options.output)
     places = [Path(options.output) / name for name in FILES]
     require_free(options, places)
@@ -107,13 +117,13 @@ def run(options: argparse.Namespace) -> int:
         tuple(options.reference), options.without_references, options.strict,
     )  # fmt: skip
     with working(options, "reading") as tell:
-        file = ModelFile.read(options.model)
-        records = read_data(options, lambda read: check_data(read, file.model.channel))
-        if not options.without_references:
-            more, remarks = identified_from(file, records, lambda files: read_files(options, files))
-            records += more
-            for remark in remarks:
-                note(remark)
+        if is_anatomy:
+            insertions = read_insertions(options)
+            file, records = insertions.file, insertions.records
+        else:
+            file = ModelFile.read(options.model)
+            records = read_data(options, lambda read: check_data(read, file.model.channel))
+            records += _identified(options, file, records)
         if problem := motion_problem(records, file.model):
             note(f"warning: the next motion will have no file: {problem}")
         with naming(options.model):
@@ -132,13 +142,20 @@ def run(options: argparse.Namespace) -> int:
         if scenario:
             name, what = write_scenario(found, scenario, options.output, options.speed)
             written = (*written, name)
+            plan_lines = corrected_plan_lines(found, what)
+        if is_anatomy:
+            name, anatomy = write_anatomy(
+                found, insertions.scenario, insertions.training, options.output, options.speed
+            )
+            written = (*written, name)
+            plan_lines = corrected_anatomy_lines(found, anatomy)
     if not options.json:
         print_first(options, lines)
         for remark in found.remarks if not options.verbose else ():
             if remark.startswith(_SENSORS):
                 note(remark)
-        if scenario:
-            print("\n".join(corrected_plan_lines(found, what)))
+        if scenario or is_anatomy:
+            print("\n".join(plan_lines))
     for each in written:
         note(f"wrote {each}")
     removed = [each for each in old if each not in written and not Path(each).exists()]
@@ -149,6 +166,18 @@ def run(options: argparse.Namespace) -> int:
         document = json.loads(Path(written[0]).read_text(encoding="utf-8"))
         print_json(document | {"written": list(written), "removed": removed})
     return 0 if found.verdict in (Verdict.NONE, Verdict.CHANGED, Verdict.NAMED) else 1
+
+
+def _identified(options: argparse.Namespace, file: ModelFile, records: list[Record]) -> list[Record]:
+    """Return the recordings from which the model was identified, as references, and print what is said of them."""
+    from needleplan.diagnosis.references import identified_from
+
+    if options.without_references:
+        return []
+    found, remarks = identified_from(file, records, lambda files: read_files(options, files))
+    for remark in remarks:
+        note(remark)
+    return found
 
 
 def _scenario(options: argparse.Namespace) -> Scenario | None:

@@ -11,7 +11,7 @@ from needleplan.cli.lattice_report import lattice_record, lattice_texts
 from needleplan.cli.options import require_inputs_kept, require_outputs, sign_key
 from needleplan.cli.streams import one_line
 from needleplan.cli.uncertainty import promise_lines, promise_record, promised, read_error, read_uncertainty
-from needleplan.errors import DataError, InputError, Mistake, ScenarioError
+from needleplan.errors import InputError, Mistake, ScenarioError
 
 if TYPE_CHECKING:
     from needleplan.anatomy import Anatomy, SpaceScenario
@@ -129,22 +129,10 @@ def _scenario(anatomy: Anatomy, target: str | None) -> SpaceScenario:
 
 def _curvature(scenario: SpaceScenario, files: list[str]) -> SpaceCurvature:
     """Return the ratio of the curvature that recorded insertions show. Raises InputError for other recordings."""
-    from needleplan.control import RunSetup, recorded_samples
-    from needleplan.devices import PoseSample, StageSample
-    from needleplan.identification.space_curvature import SpaceInsertion, space_curvature
-    from needleplan.recording import Recording
+    from needleplan.control import recorded_insertion
+    from needleplan.identification.space_curvature import space_curvature
 
-    insertions = []
-    for file in files:
-        recording = Recording.read(file)
-        if recording.session.texts.get("frame.json") != scenario.grid.frame.to_json():
-            rule = "must be that of this anatomy: the insertion was by another plan, or the lattice has changed since"
-            raise DataError(Mistake("frame.json", "", rule), file)
-        setup = RunSetup.from_texts(recording.session.texts, file)
-        samples = [each for _, each in recorded_samples(recording) if isinstance(each, StageSample | PoseSample)]
-        zeros = setup.options.entry_depth_mm, setup.options.roll_left_rad
-        insertions.append(SpaceInsertion(file, samples, setup.registration, setup.tip_settings, *zeros))
-    return space_curvature(scenario, insertions)
+    return space_curvature(scenario, [recorded_insertion(file, scenario) for file in files])
 
 
 def _found(found: SpaceCurvature) -> dict[str, object]:

@@ -23,7 +23,8 @@ from needleplan.cli.options import (
     require_outputs,
     start_pose,
 )
-from needleplan.cli.parser import whole
+from needleplan.cli.parser import Parser, whole
+from needleplan.cli.uncertainty import add_uncertainty, read_error, read_uncertainty
 from needleplan.errors import InputError, Mistake
 from needleplan.extras import require
 
@@ -41,7 +42,7 @@ _TABLE_ENDINGS = (".h5", ".hdf5")
 
 def add_to(commands: Any) -> None:
     """Add this command and its options to the program's parser."""
-    parser: argparse.ArgumentParser = commands.add_parser(
+    parser: Parser = commands.add_parser(
         "view",
         help="see and change a plan in the browser",
         description="Serve a page on this machine that shows a plan and plans again while you drag entry, target and "
@@ -67,6 +68,7 @@ def add_to(commands: Any) -> None:
         "--port", type=whole, metavar="N", help=f"port to serve on (default: {_USUAL_PORT}, or a free one)"
     )
     parser.add_argument("--no-browser", action="store_true", help="print the address only")
+    add_uncertainty(parser)
     add_answer(parser, verbose=False, json=False)
     parser.set_defaults(run=_run)
 
@@ -78,7 +80,7 @@ def _run(options: argparse.Namespace) -> int:
     if not options.export:
         require("starlette", "uvicorn")
     require_ending("--export", options.export, ".html", ".htm")
-    require_outputs(options, [options.file, options.table], options.export)
+    require_outputs(options, [options.file, options.table, options.registration], options.export)
     if options.export:
         return _export(_page_of(options), options)
     from needleplan.page import HOST, bind, make_server
@@ -124,7 +126,22 @@ def _export(page: AnyPage, options: argparse.Namespace) -> int:
 
 
 def _page_of(options: argparse.Namespace) -> AnyPage:
-    """Return the page of the file that the options name. Raises InputError if the file is wrong."""
+    """Return the page of the file that the options name, with the promise of its entries. Raises InputError."""
+    from needleplan.page import SpacePage
+
+    uncertainty = read_uncertainty(options, read_error(options.registration))
+    page = _exact_page(options)
+    if not uncertainty.is_exact:
+        if not isinstance(page, SpacePage):
+            page.close()
+            raise InputError(
+                Mistake("FILE", options.file, "must be an anatomy or a 3D table for a promise under errors")
+            )
+        page.promise_under(uncertainty)
+    return page
+
+
+def _exact_page(options: argparse.Namespace) -> AnyPage:
     from needleplan.page import DiagnosisFile, DiagnosisPage, is_diagnosis
     from needleplan.planning import read_problem
 

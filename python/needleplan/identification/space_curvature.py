@@ -25,7 +25,7 @@ from needleplan.estimation.registration import Registration
 from needleplan.estimation.tip import TipFilter, TipSettings
 from needleplan.models.trials import combine
 
-__all__ = ["SpaceCurvature", "SpaceInsertion", "space_curvature"]
+__all__ = ["SpaceCurvature", "SpaceInsertion", "entry_of", "space_curvature"]
 
 # Standard deviation of the ratio before the first pose.
 _PRIOR_SD = 1.0
@@ -108,7 +108,7 @@ def space_curvature(scenario: SpaceScenario, insertions: Sequence[SpaceInsertion
 def _of_one(scenario: SpaceScenario, insertion: SpaceInsertion) -> tuple[float, float]:
     """Return ratio and standard deviation of one insertion."""
     settings = replace(insertion.settings, factor_sd=_PRIOR_SD, factor_sd_sqrt_mm=0.0, change_sd_per_mm=0.0)
-    tip = TipFilter(insertion.registration, _entry(insertion), scenario.planned_per_mm, settings)
+    tip = TipFilter(insertion.registration, entry_of(insertion), scenario.planned_per_mm, settings)
     for sample in insertion.samples:
         if isinstance(sample, StageSample):
             depth, roll = sample.depth_mm - insertion.entry_depth_mm, sample.roll_rad - insertion.roll_left_rad
@@ -122,8 +122,24 @@ def _of_one(scenario: SpaceScenario, insertion: SpaceInsertion) -> tuple[float, 
     return estimate.curvature_factor, estimate.curvature_factor_sd
 
 
-def _entry(insertion: SpaceInsertion) -> tuple[float, ...]:
-    """Return x_mm, y_mm, heading_rad, z_mm, elevation_rad of the entry, from the poses of the needle at rest."""
+def entry_of(insertion: SpaceInsertion) -> tuple[float, float, float, float, float]:
+    """Return the measured entry: the mean over the poses of the needle at rest before it.
+
+    Parameters
+    ----------
+    insertion : SpaceInsertion
+        Samples that begin with the needle at rest.
+
+    Returns
+    -------
+    tuple of float
+        x_mm, y_mm, heading_rad, z_mm, elevation_rad in the frame of the lattice.
+
+    Raises
+    ------
+    DataError
+        If the insertion does not begin with at least 5 usable poses of the needle at rest.
+    """
     rows: list[list[float]] = []
     first: float | None = None
     for sample in insertion.samples:

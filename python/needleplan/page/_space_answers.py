@@ -21,7 +21,7 @@ from needleplan.page._requests import Request
 from needleplan.page._space_code import SpaceCode
 from needleplan.page._space_maps import SpaceMaps
 from needleplan.page._surface import surface
-from needleplan.planning import SpacePose, SpaceTable, entries_vtp, markups_text, success_bytes
+from needleplan.planning import SpacePose, SpaceTable, Uncertainty, entries_vtp, markups_text, success_bytes
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -71,6 +71,7 @@ class SpacePage:
         table: SpaceTable | None = None,
     ) -> None:
         self._source, self._anatomy, self._run = source, anatomy, run
+        self._uncertainty = Uncertainty()
         several = anatomy is not None and table is None and bool(anatomy.file.anatomy.targets)
         self.title: str = anatomy.file.title if anatomy is not None and several else scenario.title
         self._code = SpaceCode(
@@ -78,6 +79,10 @@ class SpacePage:
         )
         self._pool = ThreadPoolExecutor(1, "space")
         self._entries: Future[SpaceMaps] = self._pool.submit(lambda: SpaceMaps(scenario, anatomy, table))
+
+    def promise_under(self, uncertainty: Uncertainty) -> None:
+        """Show the success of entries under errors, too, from now on."""
+        self._uncertainty = uncertainty
 
     def start(self) -> dict[str, Any]:
         """Return the values that the page shows first: `source`, `title`, and whether it shows a recording."""
@@ -157,6 +162,9 @@ class SpacePage:
 
         Its success is by executions if they are known, else by the table, which is at once; `estimate` makes them.
         """
+        return self._entry(request, promised=False)
+
+    def _entry(self, request: Request, *, promised: bool) -> bytes:
         entries, number = self._maps.of(request), self._number(request)
         found = entries.table.executions(entries.poses[number], _DRAWN)
         points = [found.points(run) for run in range(_DRAWN)]
@@ -167,13 +175,22 @@ class SpacePage:
             "reached": found.reached.astype(np.uint8),
         }
         header = self._record(number, request) | {"risk": self._maps.risk(number, request)}
+        header |= self._promise(number, request) if promised else {}
         return pack(header, arrays)
 
     def estimate(self, request: Request) -> bytes:
         """Return the packed record of the requested entry, with its success by simulated executions (about 1 s)."""
         number = self._number(request)
         estimated = self._maps.entry(number, request).record()
-        return pack({"number": number, **estimated, **self._maps.of_targets(number)}, {})
+        told = {"number": number, **estimated, **self._maps.of_targets(number), **self._promise(number, request)}
+        return pack(told, {})
+
+    def _promise(self, number: int, request: Request) -> dict[str, Any]:
+        """Return the record of the success of an entry under errors; an empty one if everything is known exactly."""
+        if self._uncertainty.is_exact:
+            return {}
+        entries = self._maps.of(request)
+        return {"promise": entries.table.success_under(self._uncertainty, entries.poses[number]).record()}
 
     @cached_property
     def _twin(self) -> LabTwin:
@@ -241,7 +258,7 @@ class SpacePage:
         if self._run is None:
             listed = self._maps.listed
             messages |= {
-                _path(f"/api/entry {number}", target): self.entry({"number": number, **target})
+                _path(f"/api/entry {number}", target): self._entry({"number": number, **target}, promised=True)
                 for target in targets for number in listed
             }  # fmt: skip
             code |= {f"python {number}": self._code.python(number) for number in listed}

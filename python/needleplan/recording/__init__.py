@@ -8,7 +8,7 @@
 """
 
 import needleplan.extras.lab  # noqa: F401  # raises MissingLibraryError
-from needleplan.recording._align import align
+from needleplan.recording._align import align, resampled
 from needleplan.recording._column_map import ColumnMap
 from needleplan.recording._data_files import PathLike, parse_records, read_records, write_records
 from needleplan.recording._journal import Session
@@ -49,5 +49,6 @@ __all__ = [
     "read_records",
     "read_stepwise_insertion",
     "recover",
+    "resampled",
     "write_records",
 ]

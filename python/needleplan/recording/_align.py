@@ -195,7 +195,30 @@ def _increasing_in_time(columns: dict[str, Array]) -> tuple[Record, list[str]]:
 def resampled(record: Record, rate_hz: float) -> Record:
     """Return the record interpolated linearly to a rate, with a note. Beside missing measurements, values are missing.
 
-    Raises DataError if the rate is not positive and finite, or gives fewer than two or very many samples.
+    Parameters
+    ----------
+    record : Record
+        The record.
+    rate_hz : float
+        Samples a second.
+
+    Returns
+    -------
+    Record
+
+    Raises
+    ------
+    DataError
+        The rate is not positive and finite, or gives fewer than two or very many samples.
+
+    Examples
+    --------
+    >>> from needleplan.recording import resampled
+    >>> from needleplan.signals import Record
+    >>> record = Record({"time_s": [0.0, 0.2, 0.4], "force_n": [0.0, 0.4, 0.0]})
+    >>> resampled(record, 10.0)["force_n"].tolist()
+    [0.0, 0.2, 0.4, 0.2, 0.0]
+
     """
     time = record["time_s"]
     count = int((time[-1] - time[0]) * rate_hz * (1 + 1e-12)) + 1 if 0 < rate_hz < np.inf else 0

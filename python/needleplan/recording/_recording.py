@@ -14,14 +14,14 @@ from mcap.records import Schema
 
 from needleplan.artifacts import call_repr, path_text, short_html
 from needleplan.errors import DataError, InputError, Mistake
-from needleplan.recording._align import trial_of_channels
+from needleplan.recording._align import align, trial_of_channels
 from needleplan.recording._data_files import PathLike
 from needleplan.recording._journal import SESSION, Session
 from needleplan.recording._message_kinds import Json, MessageKind, Packed
 from needleplan.recording._plot import plot_channels
 from needleplan.recording._sample_kinds import FIBRE, FORCE, IMAGE, POSE, STAGE
 from needleplan.recording.mcap_bytes import mapped, require_intact, topic_chunks
-from needleplan.signals import Record
+from needleplan.signals import Record, RecordFrame, Role
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -88,24 +88,26 @@ class Recording:
 
     >>> import tempfile
     >>> from pathlib import Path
-    >>> from needleplan.devices import ForceSample, StageSample, Stamp
-    >>> from needleplan.recording import EVENT, FORCE, STAGE, Recorder, Recording
+    >>> from needleplan.devices import ForceSample, PoseSample, StageSample, Stamp
+    >>> from needleplan.recording import EVENT, FORCE, POSE, STAGE, Recorder, Recording
     >>> folder = tempfile.TemporaryDirectory()
     >>> path = Path(folder.name) / "run.mcap"
     >>> with Recorder(path) as recorder:
     ...     start_ns = recorder.session.monotonic_ns
     ...     _ = recorder.channel("/event", EVENT).put(start_ns, {"name": "begin", "cause": "operator"})
     ...     force, stage = recorder.channel("/force", FORCE), recorder.channel("/stage", STAGE)
+    ...     pose = recorder.channel("/pose", POSE)
     ...     for number in range(3):
     ...         stamp = Stamp(start_ns + number * 1_000_000_000, number)
     ...         _ = force.put(stamp.received_ns, ForceSample(stamp, (0.0, 0.0, 0.5 * number), (0.0, 0.0, 0.0)))
     ...         _ = stage.put(stamp.received_ns, StageSample(stamp, 5.0 * number, 5.0, 0.0, moving=True))
+    ...         _ = pose.put(stamp.received_ns, PoseSample(stamp, (0.0, 0.0, number / 10), (1.0, 0.0, 0.0, 0.0), 0.0))
 
     Read the recording:
 
     >>> recording = Recording.read(path)
     >>> recording
-    <Recording run.mcap: 4 topics, 9 messages, 2 s>
+    <Recording run.mcap: 5 topics, 12 messages, 2 s>
     >>> [message.values["cause"] for message in recording.messages(["/event"])]
     ['operator']
     >>> recording.is_table("/force"), recording.is_table("/event")
@@ -114,8 +116,10 @@ class Recording:
     [0.0, 5.0, 10.0]
     >>> recording.trial()["force_n"].tolist()
     [0.0, 0.5, 1.0]
+    >>> recording.tracker_noise()["z_mm"].tolist()
+    [0.0, 0.1, 0.2]
     >>> [axes.get_ylabel() for axes in recording.plot()]
-    ['force (N)', 'depth (mm)', 'axial force (N)']
+    ['force (N)', 'depth (mm)', 'position (mm)', 'axial force (N)']
     >>> folder.cleanup()
 
     """
@@ -316,6 +320,26 @@ class Recording:
         ]
         trial = trial_of_channels(channels, self.session.force_axis, str(self.path))
         return replace(trial, trial=self.session.title or self.path.stem)
+
+    def tracker_noise(self) -> Record:
+        """Return the positions of the tracker as a record of its noise, with the depth of the stage.
+
+        Returns
+        -------
+        Record
+            Positions (mm) in the frame of the tracker, of the good poses during samples of the stage.
+
+        Raises
+        ------
+        DataError
+            The recording has no topic /pose or /stage, or no two good poses during samples of the stage.
+
+        """
+        poses, stage = self.columns("/pose"), self.columns("/stage")
+        good = poses["health"] == "good"
+        tracked = Record({name: poses[name][good] for name in ("time_s", "x_mm", "y_mm", "z_mm")}, self.path.stem)
+        depth = Record({name: stage[name] for name in ("time_s", "depth_mm")}, self.path.stem)
+        return replace(align(tracked, depth), role=Role.NOISE, frame=RecordFrame())
 
     def plot(self, topics: Iterable[str] | None = None) -> list[Axes]:
         """Draw channels over time, and the force over the depth if the recording has both.

@@ -96,8 +96,9 @@ class SpaceProblem(SweptProblem):
             if isinstance(regions.get(key), str) and regions[key]:
                 regions[key] = self._absolute(regions[key])
         parts = {**raw, "anatomy": regions}
-        if isinstance(breathing := raw.get("breathing"), Mapping) and isinstance(breathing.get("field"), str):
-            parts["breathing"] = {**breathing, "field": self._absolute(breathing["field"])}
+        if isinstance(breathing := raw.get("breathing"), Mapping) and (field := breathing.get("field")):
+            names = [field] if isinstance(field, str) else field
+            parts["breathing"] = {**breathing, "field": [self._absolute(name) for name in names]}
         return build(AnatomyFile, parts)
 
     def _absolute(self, file: str) -> str:
@@ -106,7 +107,8 @@ class SpaceProblem(SweptProblem):
     def identity(self, changed: Scenario | AnatomyFile) -> str:
         """Return the digest of the settings and of the contents of volume and colour table, wherever they are."""
         assert isinstance(changed, AnatomyFile)
-        named = (changed.anatomy.file, changed.anatomy.labels, changed.breathing and changed.breathing.field)
+        fields = changed.breathing.field if changed.breathing else ()
+        named = (changed.anatomy.file, changed.anatomy.labels, *fields)
         files = [file for file in named if file]
         contents = [self._digest(file) for file in files]
         settings = changed.to_toml()

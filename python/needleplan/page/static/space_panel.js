@@ -4,7 +4,7 @@ import { ofEntry, Sentences } from "./sentences.js";
 import { make, percent } from "./texts.js";
 
 const ROWS = {
-  Entry: ["success", "interval", "by the table", "expected", "length", "risk", "turns", "loss 2 mm", "loss 2°", "entry, RAS", "direction"],
+  Entry: ["success", "interval", "by the table", "expected", "under errors", "length", "risk", "turns", "loss 2 mm", "loss 2°", "entry, RAS", "direction"],
   Solve: ["states", "status", "time"],
 };
 
@@ -83,7 +83,8 @@ export class SpacePanel {
     }
   }
 
-  showEstimate({ success, success_interval: interval, expected_success: expected }) {
+  showEstimate({ success, success_interval: interval, expected_success: expected, promise }) {
+    this.write({ "under errors": promise ? promised(promise) : "–" });
     if (!interval) return;
     this.write({ success: percent(success), interval: `${points(interval[0])}–${percent(interval[1])}`, expected: percent(expected) });
     this.parts.success.ariaBusy = "false";
@@ -91,13 +92,20 @@ export class SpacePanel {
 
   // No estimate comes.
   leaveEstimate() {
-    this.write({ success: "–", interval: "–", expected: "–" });
+    this.write({ success: "–", interval: "–", expected: "–", "under errors": "–" });
     this.parts.success.ariaBusy = "false";
   }
 
   write(found) {
     for (const [name, text] of Object.entries(found)) this.parts[name].textContent = text;
   }
+}
+
+// The success under all errors with its interval, then under each error alone.
+function promised({ together, uncertainty: _, exact: __, ...alone }) {
+  const [low, high] = together.success_interval;
+  const parts = Object.entries(alone).map(([name, part]) => `${name} ${percent(part.success)}`);
+  return `${percent(together.success)} (${points(low)}–${percent(high)}); ${parts.join(", ")}`;
 }
 
 // What is at a grid point, in words.

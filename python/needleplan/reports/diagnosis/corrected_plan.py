@@ -18,44 +18,39 @@ from needleplan.signals import Record, Role
 
 __all__ = [
     "CorrectedPlan",
+    "RobotCorrection",
     "along_mm",
     "corrected_plan",
     "corrected_plan_lines",
     "identified_path",
     "require_path",
+    "said_of",
+    "torsion_of",
     "write_scenario",
 ]
 
 # Torque per length (N) below which the torsional lag of the needle is ignored.
 _NOTHING_N = 1e-12
+# Torsional stiffness (N mm^2) and length (mm) of the needle if nobody says them: an 18 gauge cannula, as in the lab.
+_STIFFNESS_N_MM2, _SHAFT_MM = 1.5e4, 200.0
 # Angle (rad) up to which a correction is not reported, because robots do not resolve it.
 _TURNED_RAD = 1e-4
 # Roll angle (rad) up to which an insertion counts as one without rotation, in the plane.
 _UNTURNED_RAD = 0.02
 
 
-@dataclass(frozen=True, eq=False)
-class CorrectedPlan:
-    """A scenario for the diagnosed tissue, and the corrections that the robot needs.
+@dataclass(frozen=True, eq=False, kw_only=True)
+class RobotCorrection:
+    """What the robot needs for a diagnosed needle, in the plane and in 3D.
 
     `bends` holds, by inserted length, the roll angles at which the needle bends to the left and right. `torsion` is the
-    torsion that makes the tip's roll lag behind the base, to be compensated; None if the lag is negligible. `path` is
-    the path of `identify curvature` from the same records, if the scenario has its curvature; else None.
+    torsion that makes the tip's roll lag behind the base, to be compensated; None if the lag is negligible.
     """
 
-    scenario: Scenario
     bends: InPlane
     torsion: Torsion | None = None
-    path: Identified | None = None
 
     __repr__ = call_repr
-
-    @property
-    def heading_rad(self) -> float:
-        """Initial heading (rad) of the path relative to the commanded direction, in the plane, positive to the left."""
-        if self.path is not None:
-            return self.path.entry.heading_rad if self.path.entry else 0.0
-        return self.bends.heading_rad
 
     @property
     def turned_rad(self) -> float:
@@ -74,14 +69,43 @@ class CorrectedPlan:
             found["--roll-left-deg"] = f"{math.degrees(self.turned_rad):.3f}"
         return found
 
+    def lines(self) -> Iterator[str]:
+        """Yield lines of text for the user."""
+        for option, value in self.options().items():
+            yield f"  robot: insert {option} {value}"
+        left, right = self.bends.roll_rad(1, 0.0), self.bends.roll_rad(-1, 0.0) - math.pi
+        # An option of the command rotates both sides; different rotations of the two sides are only reported.
+        if max(abs(left - self.turned_rad), abs(right - self.turned_rad)) > _TURNED_RAD:
+            yield f"  robot: at the entry, bevel left is a roll of {left:.4f} rad, right {right + math.pi:.4f} rad"
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class CorrectedPlan(RobotCorrection):
+    """A scenario for the diagnosed tissue, and the corrections that the robot needs.
+
+    `path` is the path of `identify curvature` from the same records, if the scenario has its curvature; else None.
+    """
+
+    scenario: Scenario
+    path: Identified | None = None
+
+    __repr__ = call_repr
+
+    @property
+    def heading_rad(self) -> float:
+        """Initial heading (rad) of the path relative to the commanded direction, in the plane, positive to the left."""
+        if self.path is not None:
+            return self.path.entry.heading_rad if self.path.entry else 0.0
+        return self.bends.heading_rad
+
 
 def corrected_plan(
     model: Model,
     scenario: Scenario,
     *,
     velocity_mm_s: float = 5.0,
-    stiffness_n_mm2: float = 1.5e4,
-    shaft_mm: float = 200.0,
+    stiffness_n_mm2: float = _STIFFNESS_N_MM2,
+    shaft_mm: float = _SHAFT_MM,
     places: tuple[np.ndarray, np.ndarray] | None = None,
 ) -> CorrectedPlan:
     """Return the corrected plan for a model of the tip's path with its effects.
@@ -122,9 +146,9 @@ def corrected_plan(
         beyond = np.interp(bends.depth_mm, depth, there) + np.maximum(bends.depth_mm - depth[-1], 0.0)
         along = np.maximum.accumulate(beyond)
     return CorrectedPlan(
-        scenario.with_curvature(within(pieces_of(along, bends.curvature_per_mm), size.width_mm)),
-        bends,
-        _torsion(bends, stiffness_n_mm2, shaft_mm),
+        scenario=scenario.with_curvature(within(pieces_of(along, bends.curvature_per_mm), size.width_mm)),
+        bends=bends,
+        torsion=torsion_of(bends, stiffness_n_mm2, shaft_mm),
     )
 
 
@@ -146,7 +170,9 @@ def along_mm(records: tuple[Record, ...]) -> tuple[np.ndarray, np.ndarray]:
     return depth, np.maximum.accumulate(there - there[0])
 
 
-def _torsion(bends: InPlane, stiffness_n_mm2: float, shaft_mm: float) -> Torsion | None:
+def torsion_of(
+    bends: InPlane, stiffness_n_mm2: float = _STIFFNESS_N_MM2, shaft_mm: float = _SHAFT_MM
+) -> Torsion | None:
     """Return the torsion whose lag fits the lag of the model in the shallower half of the depths.
 
     Returns None if the fitted torque per length is negative or negligible.
@@ -203,31 +229,30 @@ def write_scenario(
         needle = scenario.with_curvature(within(path.pieces, scenario.workspace.width_mm) or path.curvature_per_mm)
         what = replace(what, scenario=needle, path=path)
     place = Path(folder) / "scenario.toml"
-    write_whole(place, f"# {_said(found, what)} Diagnosis {found.digest}.\n{what.scenario.to_toml()}".encode())
+    first = f"# {said_of(found, is_path=path is not None)} Diagnosis {found.digest}."
+    write_whole(place, f"{first}\n{what.scenario.to_toml()}".encode())
     return str(place), what
 
 
-def _said(found: Diagnosis, what: CorrectedPlan) -> str:
-    """Return a sentence for the file and for the user: where the curvature of the scenario comes from."""
+def said_of(found: Diagnosis, *, is_path: bool = False) -> str:
+    """Return a sentence for the file and for the user: where the curvature of the plan comes from.
+
+    `is_path`: it is that of `identified_path`.
+    """
     if found.verdict is Verdict.NAMED:
         return f"Curvature with the named effects: {', '.join(found.names)}."
-    kept = what.path is None and found.keeps_given
+    kept = not is_path and found.keeps_given
     how = "of the given model, which predicts better than one of" if kept else "calibrated to"
     return f"Curvature {how} these recordings, without effects (verdict: {found.verdict})."
 
 
 def corrected_plan_lines(found: Diagnosis, what: CorrectedPlan) -> Iterator[str]:
     """Yield lines of text about the scenario and the corrections that the robot needs."""
-    yield f"  plan: {_said(found, what)}"
+    yield f"  plan: {said_of(found, is_path=what.path is not None)}"
     layers = len(what.scenario.needle.layers)
     yield f"  plan: radius {what.scenario.needle.curvature_radius_mm:.4g} mm" + f", layers behind it: {layers}" * bool(
         layers
     )
     if abs(what.heading_rad) > _TURNED_RAD:
         yield f"  robot: the path starts {math.degrees(what.heading_rad):+.2f} deg from the commanded heading (+ left)"
-    for option, value in what.options().items():
-        yield f"  robot: insert {option} {value}"
-    left, right = what.bends.roll_rad(1, 0.0), what.bends.roll_rad(-1, 0.0) - math.pi
-    # An option of the command rotates both sides; different rotations of the two sides are only reported.
-    if max(abs(left - what.turned_rad), abs(right - what.turned_rad)) > _TURNED_RAD:
-        yield f"  robot: at the entry, bevel left is a roll of {left:.4f} rad, right {right + math.pi:.4f} rad"
+    yield from what.lines()

@@ -36,11 +36,12 @@ MOST_TRIALS = 10
 _MOTIONS = ("next_motion.toml", *(f"next_motion_{number}.toml" for number in range(2, MOST_TRIALS + 1)))
 
 FILES = (
-    "diagnosis.json", "report.html", "traces.h5", "model.toml", "effect_to_name.py", "scenario.toml", *_MOTIONS,
+    "diagnosis.json", "report.html", "traces.h5", "model.toml", "effect_to_name.py", "scenario.toml", "anatomy.toml",
+    *_MOTIONS,
 )  # fmt: skip
 """Names of all files that a diagnosis may write into its folder."""
 
-_STALE = ("model.toml", "scenario.toml", *_MOTIONS)
+_STALE = ("model.toml", "scenario.toml", "anatomy.toml", *_MOTIONS)
 
 # Number of hypotheses on the terminal.
 _MOST_SHOWN = 5
