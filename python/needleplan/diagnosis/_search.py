@@ -192,7 +192,7 @@ class _Search:
             for member in {*parent} - {further}
         ]
         hope = max(child.hope, child.also.hope if child.also else -math.inf)
-        return hope - score < least_share(self.problem.settings) * max(gains, default=0.0)
+        return bool(gains) and hope - score < least_share(self.problem.settings) * max(gains)
 
     def _try(self, child: Child) -> None:
         """Fit a set with one more effect, and its subsets if it becomes the best."""

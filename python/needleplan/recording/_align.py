@@ -216,7 +216,7 @@ def resampled(record: Record, rate_hz: float) -> Record:
     >>> from needleplan.recording import resampled
     >>> from needleplan.signals import Record
     >>> record = Record({"time_s": [0.0, 0.2, 0.4], "force_n": [0.0, 0.4, 0.0]})
-    >>> resampled(record, 10.0)["force_n"].tolist()
+    >>> resampled(record, 10.0)["force_n"].round(9).tolist()
     [0.0, 0.2, 0.4, 0.2, 0.0]
 
     """
