@@ -29,7 +29,7 @@ const MODIFIED_SWEEPS: u32 = 20;
 const PROBE_REDUCTION: f64 = 0.1;
 
 /// Accuracy of an iterative evaluation of a policy that may still change, relative to its residual.
-const INEXACT: f64 = 0.05;
+const INEXACT: f64 = 0.01;
 
 /// Accuracy of an iterative evaluation in exact policy iteration, relative to its residual.
 const EXACT: f64 = 1e-10;
