@@ -4,7 +4,6 @@ use crate::interpolation::{Order, POINTS, weights};
 use crate::space::kernel::{Rows, Term};
 use crate::space::layer::Padded;
 use crate::space::parts::{Branch, SpaceParts, SpaceStep};
-use crate::space::reach::LANES;
 
 /// What a branch reads of the layer in which it ends.
 #[derive(Debug, Clone, Copy)]
@@ -20,8 +19,7 @@ pub(crate) struct Footprint {
 }
 
 impl Footprint {
-    /// The field where the branch lands from a start and the neighbours behind it, interpolated with P points, times the
-    /// probability of that.
+    /// The field where the branch lands, interpolated with P points, times the probability of that.
     #[inline(always)]
     pub(crate) fn landing<const P: usize>(
         &self,
@@ -29,25 +27,17 @@ impl Footprint {
         field: &[f32],
         start: usize,
         width: usize,
-    ) -> [f32; LANES] {
+    ) -> f32 {
         let skipped = (POINTS - P) / 2;
         let first = (start as i64 + self.first) as usize + skipped * (width + 1);
-        let mut sums = [[0.0; LANES]; P];
+        let mut sums = [0.0; P];
         for y in 0..P {
-            let row = &field[first + y * width..][..P - 1 + LANES];
+            let row = &field[first + y * width..][..P];
             for z in 0..P {
-                for lane in 0..LANES {
-                    sums[z][lane] = self.of_y[skipped + y].mul_add(row[z + lane], sums[z][lane]);
-                }
+                sums[z] += self.of_y[skipped + y] * row[z];
             }
         }
-        let mut total = [0.0; LANES];
-        for z in 0..P {
-            for lane in 0..LANES {
-                total[lane] = of_z[skipped + z].mul_add(sums[z][lane], total[lane]);
-            }
-        }
-        total
+        sums.iter().zip(&of_z[skipped..]).map(|(sum, by)| sum * by).sum()
     }
 
     /// Adds the rows that the branch reads.

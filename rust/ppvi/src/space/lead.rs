@@ -2,8 +2,6 @@
 
 use std::ops::Range;
 
-use multiversion::multiversion;
-
 use crate::interpolation::{Order, POINTS};
 use crate::space::choice::Group;
 use crate::space::collision::voxel;
@@ -107,13 +105,13 @@ impl LeadSolver {
             ends.ends(&word, &mut memory.ends);
             while word.starts != 0 {
                 let bit = word.starts.trailing_zeros() as usize;
-                let set = (word.starts >> bit) as u8;
-                word.starts &= !(0xff << bit);
+                word.starts &= word.starts - 1;
                 let place = self.padded.at((from + row) as i64, (k + bit) as i64);
-                let sums = mix(reading, &memory.ends, [place, bit], self.padded.width);
-                for lane in (0..LANES).filter(|lane| set >> lane & 1 != 0) {
-                    results[row * width + k + bit + lane] = base + sums[lane];
-                }
+                results[row * width + k + bit] = base
+                    + match reading.order {
+                        Order::Linear => self.mix::<2>(reading, &memory.ends, place, bit),
+                        Order::Cubic => self.mix::<POINTS>(reading, &memory.ends, place, bit),
+                    };
             }
         }
         for row in ends.step.certain.ending_rows(rows) {
@@ -122,40 +120,24 @@ impl LeadSolver {
             });
         }
     }
-}
 
-/// Sums what the branches of a step lead to from a start and the neighbours behind it. `ends`: for each path of the branches,
-/// the starts of a word that go on, end in the target, and in an obstacle; `bit`: the start.
-#[multiversion(targets("x86_64+avx+avx2+fma"))]
-fn mix(reading: &Reading<'_>, ends: &[[u64; 3]], start: [usize; 2], width: usize) -> [f32; LANES] {
-    match reading.order {
-        Order::Linear => mix_points::<2>(reading, ends, start, width),
-        Order::Cubic => mix_points::<POINTS>(reading, ends, start, width),
-    }
-}
-
-/// As [`mix`], with P points along each axis. All neighbours are computed, since that takes as long as one of them.
-#[inline(always)]
-fn mix_points<const P: usize>(
-    reading: &Reading<'_>,
-    ends: &[[u64; 3]],
-    [start, bit]: [usize; 2],
-    width: usize,
-) -> [f32; LANES] {
-    let Reading { field, reads, lost, by_code, .. } = *reading;
-    let [_, target, obstacle, outside] = by_code;
-    let mut sum = [0.0; LANES];
-    for (branches, of_z) in reads.columns() {
-        for branch in branches {
-            let [going, in_target, in_obstacle] = ends[branch.rest as usize].map(|ends| (ends >> bit) as u8);
-            let landing = if going == 0 { [0.0; LANES] } else { branch.landing::<P>(of_z, field, start, width) };
-            for lane in 0..LANES {
-                let is_in = |set: u8| set >> lane & 1 != 0;
-                let end = if is_in(in_target) { target } else { outside };
-                let end = if is_in(in_obstacle) { obstacle } else { end };
-                sum[lane] += if is_in(going) { branch.weight.mul_add(lost, landing[lane]) } else { branch.weight * end };
+    /// Sums what the branches of a step lead to from a start, with P points along each axis. `ends`: for each path of the
+    /// branches, the starts of a word that go on, end in the target, and in an obstacle; `bit`: the start.
+    #[inline(always)]
+    fn mix<const P: usize>(&self, reading: &Reading<'_>, ends: &[[u64; 3]], start: usize, bit: usize) -> f32 {
+        let Reading { field, reads, lost, by_code, .. } = *reading;
+        let mut sum = 0.0;
+        for (branches, of_z) in reads.columns() {
+            for branch in branches {
+                let [going, target, obstacle] = ends[branch.rest as usize].map(|ends| (ends >> bit & 1) as usize);
+                sum += if going != 0 {
+                    branch.weight * lost + branch.landing::<P>(of_z, field, start, self.padded.width)
+                } else {
+                    let code = usize::from(voxel::OUTSIDE) - 2 * target - obstacle;
+                    branch.weight * by_code[code]
+                };
             }
         }
+        sum
     }
-    sum
 }
