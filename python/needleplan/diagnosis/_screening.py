@@ -14,6 +14,7 @@ from scipy.special import logsumexp
 from needleplan.diagnosis._base_law import Law
 from needleplan.diagnosis._constants import (
     AMPLITUDE_SCALES,
+    CLOCK_RAD,
     DELAY_SHARES,
     DISTORTED,
     FORMULA_ERRORS,
@@ -293,19 +294,20 @@ class Screening:
         values = dict(entry.grid[index - entry.first])
         return FittedEffect(entry.effect, {**values, SIZE: amplitude or values.get(SIZE, 0.0)}, bounds)
 
-    def shared(self, each: FittedEffect) -> FittedEffect | None:
+    def shared(self, each: FittedEffect, *, agreeing: bool = False) -> FittedEffect | None:
         """Return the same phenomenon with angles that all trials share; None if they do already, or no effect has them.
 
         Such an effect is a breath with a phase of its own in each trial. The angles are the circular means of all
-        trials.
+        trials. If they must be `agreeing`, the result is None if a trial differs by more than two standard deviations
+        of the phase of a trial, which the tolerance of the shared effect holds.
         """
         found = [entry for entry in self.entries if entry.excludes(each.effect) and not entry.effect.by_trial]
         if not each.effect.by_trial or not found:
             return None
-        angles = {
-            name: float(np.angle(np.exp(1j * np.array([own[name] for own in each.own])).mean()))
-            for name in each.effect.by_trial
-        }
+        turns = {name: np.exp(1j * np.array([own[name] for own in each.own])) for name in each.effect.by_trial}
+        if agreeing and any(np.abs(np.angle(own / own.mean())).max() > 2 * CLOCK_RAD for own in turns.values()):
+            return None
+        angles = {name: float(np.angle(own.mean())) for name, own in turns.items()}
         return FittedEffect(found[0].effect, {**each.values, **angles}, each.bounds)
 
     def at_given(self, parent: Hypothesis) -> tuple[CalibratedTrial, ...]:

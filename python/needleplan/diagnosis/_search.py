@@ -195,11 +195,19 @@ class _Search:
         return bool(gains) and hope - score < least_share(self.problem.settings) * max(gains)
 
     def _try(self, child: Child) -> None:
-        """Fit a set with one more effect, and its subsets if it becomes the best."""
-        self.add(self._fit(child))
-        if self._names(child) == self.best:
-            self._converge(self.best)
-            self._refit_subsets(self.fitted[self._names(child)])
+        """Fit a set with one more effect, and its subsets if it becomes the best.
+
+        If the effect has a value for each trial, and these agree, the set with one value for all takes its place.
+        """
+        fitted = self._fit(child)
+        if shared := self.screening.shared(fitted.effects[-1], agreeing=True):
+            self.scores.pop(self._names(child), None)
+            fitted = fit_hypothesis(self.problem, [*fitted.effects[:-1], shared], fitted.trials, like=fitted)
+        self.add(fitted)
+        names = tuple(sorted(fitted.names))
+        if names == self.best:
+            self._converge(names)
+            self._refit_subsets(self.fitted[names])
 
     def _add_rival(self, hypothesis: Hypothesis) -> None:
         """Keep a fitted set, and fit it on if it is near the best one."""
