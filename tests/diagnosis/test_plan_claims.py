@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -114,6 +115,13 @@ def test_a_recording_of_another_table_is_refused(tmp_path: Path) -> None:
         compare_plan(other, recorded(tmp_path, ["target"]))
 
 
+def test_an_insertion_counts_once(tmp_path: Path) -> None:
+    (one,) = recorded(tmp_path, ["target"])
+    copy = Path(shutil.copy(one.path, tmp_path / "copy.mcap"))
+    with pytest.raises(DataError, match=r"copy\.mcap: is the insertion of run 0\.mcap once more"):
+        compare_plan(small_table(), [one, Recording.read(copy)])
+
+
 def test_the_command_prints_the_claims_and_says_by_its_code_whether_they_hold(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -125,6 +133,8 @@ def test_the_command_prints_the_claims_and_says_by_its_code_whether_they_hold(
     assert "does not hold" in printed
     assert main(["compare", str(tmp_path / "table.h5"), *files, "--json"]) == 1
     assert [each["holds"] for each in json.loads(capsys.readouterr().out)["claims"]] == [False, True, True, True]
+    assert main(["diagnose", str(tmp_path / "table.h5"), files[0], "-o", str(tmp_path / "found")]) == 2
+    assert "is a policy table; `needleplan compare" in capsys.readouterr().err
     assert main(["compare", str(tmp_path / "table.h5"), files[0], "--fit"]) == 2
     assert "--fit: is for models" in capsys.readouterr().err
 

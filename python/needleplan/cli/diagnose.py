@@ -102,7 +102,11 @@ def run(options: argparse.Namespace) -> int:
         raise InputError(Mistake("--trials", str(options.trials), f"must be 1 to {MOST_TRIALS}"))
     for file in options.effects:
         register_file(file)
-    is_anatomy = file_format(options.model).kind is FileKind.ANATOMY
+    kind = file_format(options.model).kind
+    if kind is FileKind.TABLE:
+        rule = "is a policy table; `needleplan compare TABLE.h5 RUN.mcap ...` judges what its plan claims"
+        raise InputError(Mistake(options.model, "", rule))
+    is_anatomy = kind is FileKind.ANATOMY
     scenario = None if is_anatomy else _scenario(options)
     require_folder(options.output)
     places = [Path(options.output) / name for name in FILES]

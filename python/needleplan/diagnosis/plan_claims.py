@@ -146,13 +146,19 @@ def compare_plan(table: Table, recordings: Sequence[Recording]) -> PlanCompariso
     Raises
     ------
     DataError
-        If a recording is no insertion with this table.
+        If a recording is no insertion with this table, or is given twice.
     """
     wrong = [
         Mistake(recording.path.name, "", f"is no insertion with this table, {table.digest[:15]}...")
         for recording in recordings
         if recording.session.digests.get("table") != table.digest
     ]
+    seen: dict[tuple[int, ...], str] = {}
+    for recording in recordings:
+        span = (recording.session.wall_ns, recording.start_ns, recording.end_ns, sum(recording.counts.values()))
+        if span in seen:
+            wrong.append(Mistake(recording.path.name, "", f"is the insertion of {seen[span]} once more"))
+        seen.setdefault(span, recording.path.name)
     if wrong:
         raise DataError(wrong)
     scenario = table.scenario if isinstance(table.scenario, Scenario) else None
