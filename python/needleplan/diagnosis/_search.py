@@ -218,11 +218,15 @@ class _Search:
 
     def _converge(self, names: Names) -> None:
         """Fit a set again as long as it gains by steps that its linear model promises."""
-        while (here := self.fitted[names]).promise > GAINED:
+        here = self.fitted[names]
+        for _ in range(MORE_SEARCHES):
+            if here.promise < GAINED:
+                break
             further = fit_hypothesis(self.problem, here.effects, here.trials, like=here)
             self.add(further)
             if further.log_evidence < here.log_evidence + GAINED:
                 break
+            here = further
 
     def exchange(self) -> None:
         """Replace each effect of the best set by its imitators, and fit these sets.
