@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from needleplan.diagnosis import Library, Settings, calibration
+from needleplan.diagnosis import Library, Settings, _search, calibration
 from needleplan.diagnosis._diagnose import _best_sampling
 from needleplan.diagnosis._hypothesis import Hypothesis, nuisances
 from needleplan.diagnosis._problem import Problem
@@ -74,3 +74,30 @@ def test_added_effects_leave_the_shared_columns_at_the_given_base_as_they_are(em
     for number, trial in enumerate(screening.at_given(parent)):
         assert trial.shared is not None
         np.testing.assert_allclose(trial.shared, nuisances(empty.problem, trial, number, (VISCOUS,)), atol=1e-9)
+
+
+def test_a_fit_that_always_promises_more_is_repeated_a_few_times_only(
+    empty: Hypothesis, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The promise of a further step grows with every fit, so that no score rises: the search ends nevertheless."""
+    fits: list[float] = []
+
+    class Promising:
+        """A fitted set that gains two nats and promises ten more."""
+
+        names, effects, trials = ("viscous",), (), ()
+        promise = 10.0
+
+        def __init__(self) -> None:
+            self.log_evidence = 2.0 * len(fits)
+
+    def fit(*_: object, **__: object) -> Promising:
+        fits.append(0.0)
+        return Promising()
+
+    monkeypatch.setattr(_search, "fit_hypothesis", fit)
+    library = Library([effect_named("viscous")], BASE)
+    state = _search._Search(empty.problem, Screening.of(empty.problem, library))
+    state.add(Promising())  # type: ignore[arg-type]
+    state._converge(("viscous",))
+    assert len(fits) == 3

@@ -227,8 +227,8 @@ STRONGEST = _one("STRONGEST", 2, "fits", "of strong effects however good the set
     "a fit may gain more than the screening says")
 BESIDE = _one("BESIDE", 4.0, "nats", "deficit from which no function is tried beside a set", "it has no weight")
 ALIKE = _one("ALIKE", 0.5, "gain", "share from which an effect imitates another one", "their squared correlation")
-MORE_SEARCHES = _one("MORE_SEARCHES", 3, "searches", "for the start of an effect with local optima, and fits of the best sets",
-    "each must gain")
+MORE_SEARCHES = _one("MORE_SEARCHES", 3, "searches",
+    "for the start of an effect with local optima, and further fits of a set near the best", "each must gain")
 GAINED = _one("GAINED", 1.0, "nats", "gain from which the next one follows", "less changes no answer")
 LOST = _one("LOST", 8.0, "nats", "deficit from which a fit is given up", "later steps change a few nats")
 FAR = _one("FAR", 8.0, "nats", "deficit from which a set has no weight", "odds of 3,000")
