@@ -43,6 +43,18 @@ def test_the_trials_of_an_identification_are_found_beside_its_model(tmp_path: Pa
     assert remarks == ["references: 3 trials of ../series/normal.csv, from which the model was identified"]
 
 
+def test_trials_of_two_files_with_the_same_names_are_found(tmp_path: Path) -> None:
+    files = [tmp_path / name for name in ("monday.csv", "tuesday.csv")]
+    for seed, path in enumerate(files):
+        write_records(recordings(seed=seed), path)
+    records = read_records(files)  # names that occur twice begin with that of the file
+    parents = tuple(Parent(record.trial, record.digest) for record in records)
+    digests = {record.digest: file for record, file in zip(records[::4], files, strict=True)}
+    found, remarks = identified_from(ModelFile(BASE, parents=parents).with_files(digests, tmp_path), SUSPECT)
+    assert len(found) == 6
+    assert [remark[:26] for remark in remarks] == ["references: 3 trials of mo", "references: 3 trials of tu"]
+
+
 def test_the_diagnosed_trials_are_no_references_of_themselves(tmp_path: Path) -> None:
     file = identified(tmp_path, recordings(seed=1))
     assert identified_from(file, read_records(tmp_path / "series" / "normal.csv")) == ([], [])

@@ -176,6 +176,8 @@ def diagnose(
             return replace(first, remarks=(*normal_remarks, remark, *first.remarks))
         base = first.model if first.verdict is Verdict.NAMED else base
         normal_remarks += _of_references(first)
+    elif strict:
+        normal_remarks.append(f"strict has no effect: it needs {FEWEST_REFERENCES} references")
     tell("calibrating the model to the trials")
     checked, empty = _best_sampling(base, records, settings)
     calibration = empty.problem.calibration

@@ -44,9 +44,8 @@ def identified_from(
     remarks: list[str] = []
     names = {(parent.file, parent.digest) for parent in file.parents if parent.file and parent.digest not in diagnosed}
     for name, known in sorted(names):
-        path, trials = file.folder / name, {parent.name for parent in file.parents if parent.file == name}
         try:
-            own = list(_references(path, known, trials, read))
+            own = list(_references(file.folder / name, known, read))
             check_data([*recordings, *own], file.model.channel)
         except DataError as error:
             why = f"{error.mistakes[0].key} {error.mistakes[0].rule}".strip()
@@ -57,14 +56,15 @@ def identified_from(
     return found, remarks
 
 
-def _references(
-    path: Path, known: str, trials: set[str], read: Callable[[Sequence[str]], list[Record]]
-) -> Iterator[Record]:
-    """Yield the named trials of a file as references. Raises DataError if it cannot be read or has changed."""
+def _references(path: Path, known: str, read: Callable[[Sequence[str]], list[Record]]) -> Iterator[Record]:
+    """Yield the trials of a file as references. Raises DataError if it cannot be read or has changed.
+
+    A model is identified from all trials of a file.
+    """
     if not path.is_file():
         raise DataError("it is not there")
     if digest(path.read_bytes()) != known:
         raise DataError("it has changed since")
     for record in read([str(path)]):
-        if record.trial in trials and record.role is not Role.NOISE:
+        if record.role is not Role.NOISE:
             yield replace(record, role=Role.REFERENCE, trial=f"{path.name}: {record.trial}")
