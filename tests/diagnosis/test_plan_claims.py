@@ -115,6 +115,12 @@ def test_a_recording_of_another_table_is_refused(tmp_path: Path) -> None:
         compare_plan(other, recorded(tmp_path, ["target"]))
 
 
+def test_claims_that_nothing_judges_do_not_hold(tmp_path: Path) -> None:
+    found = compare_plan(small_table(), recorded(tmp_path, ["stopped"]))
+    assert (found.claims, found.ok) == ((), False)
+    assert found.remarks[1] == "curvature and tip noise are not judged: no step of these insertions was to bend"
+
+
 def test_an_insertion_counts_once(tmp_path: Path) -> None:
     (one,) = recorded(tmp_path, ["target"])
     copy = Path(shutil.copy(one.path, tmp_path / "copy.mcap"))
@@ -135,8 +141,9 @@ def test_the_command_prints_the_claims_and_says_by_its_code_whether_they_hold(
     assert [each["holds"] for each in json.loads(capsys.readouterr().out)["claims"]] == [False, True, True, True]
     assert main(["diagnose", str(tmp_path / "table.h5"), files[0], "-o", str(tmp_path / "found")]) == 2
     assert "is a policy table; `needleplan compare" in capsys.readouterr().err
-    assert main(["compare", str(tmp_path / "table.h5"), files[0], "--fit"]) == 2
-    assert "--fit: is for models" in capsys.readouterr().err
+    for option in (["--fit"], ["--surface", "0"], ["--accept-units"]):
+        assert main(["compare", str(tmp_path / "table.h5"), files[0], *option]) == 2
+        assert f"{option[0]}: is for models" in capsys.readouterr().err
 
 
 @pytest.mark.study

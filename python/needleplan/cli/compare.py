@@ -72,8 +72,9 @@ def _plan(options: argparse.Namespace) -> int:
     from needleplan.planning import Table
     from needleplan.recording import Recording
 
-    given = [name for name in ("holdout", "noise", "reference", "columns", "surface", "rate", "frame", "fit")
-             if getattr(options, name)]  # fmt: skip
+    names = ("holdout", "noise", "reference", "columns", "surface", "rate", "frame", "accept_units", "fit")
+    # a number 0 is given; None, False and an empty list are not
+    given = [name.replace("_", "-") for name in names if (value := getattr(options, name)) or isinstance(value, float)]
     if given:
         raise InputError([Mistake(f"--{name}", "", "is for models; a table needs recordings alone") for name in given])
     with working(options, "comparing"):

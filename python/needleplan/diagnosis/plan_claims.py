@@ -98,8 +98,8 @@ class PlanComparison:
 
     @property
     def ok(self) -> bool:
-        """Whether all claims hold."""
-        return all(claim.holds for claim in self.claims)
+        """Whether all claims hold, and at least one was judged."""
+        return bool(self.claims) and all(claim.holds for claim in self.claims)
 
     def lines(self) -> Iterator[str]:
         """Yield the lines for the terminal."""
@@ -173,7 +173,9 @@ def compare_plan(table: Table, recordings: Sequence[Recording]) -> PlanCompariso
     claims = list(_success(runs)) if runs else []
     if scenario:
         steps = sum(len(run.steps_mm) for run in runs)
-        if steps >= _FEWEST_STEPS:
+        if not any(run.planned_rad.any() for run in runs):
+            remarks.append("curvature and tip noise are not judged: no step of these insertions was to bend")
+        elif steps >= _FEWEST_STEPS:
             claims += _motion(scenario, runs)
         else:
             remarks.append(f"curvature and tip noise are not judged: {steps} steps, {_FEWEST_STEPS} are needed")
