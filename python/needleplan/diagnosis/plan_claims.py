@@ -1,13 +1,14 @@
 """What a plan claims, judged by recorded insertions: success, curvature, tip noise, and the plane of the plan.
 
-Between decisions i and i + 1 of an insertion in the plane the needle advances by d_i with the bevel b_i. The estimated
-headings t_i have independent errors of the variance s, and the heading diffuses with the variance q for each mm:
+Between decisions i and i + 1 of an insertion in the plane the needle advances by d_i with the bevel b_i. A step of the
+plan has the length l_i there. The estimated headings t_i have independent errors of the variance s, and the heading
+diffuses with the variance q for each step of the plan:
 
-    t_(i+1) - t_i = k b_i d_i / r_i + e_i,    var e_i = q d_i + 2 s,    cov(e_i, e_(i+1)) = -s
+    t_(i+1) - t_i = k b_i d_i / r_i + e_i,    var e_i = q d_i / l_i + 2 s,    cov(e_i, e_(i+1)) = -s
 
 with the radius r_i of the plan, and b_i = 0 in a straight step. The factor k, q and s have the largest restricted
-likelihood of all insertions; the interval of q is that of the profile, the interval of k that of the linear model at
-the best q and s. The plan claims k = 1, and q = variance of the tip noise of a step / length of a step.
+likelihood of all insertions. The interval of q is the profile interval; that of k is Student's, at the best q and s.
+The plan claims that k is 1, and that q is the variance of its tip noise.
 """
 
 from __future__ import annotations
@@ -117,13 +118,13 @@ class PlanComparison:
 
 @dataclass(frozen=True)
 class _PlannedRun:
-    """Decisions of one insertion: predicted success, outcome, headings, turns of the arcs of the plan, steps, end."""
+    """Decisions of one insertion: predicted success, outcome, headings, turns of the arcs, and steps of the plan."""
 
     predicted: float
     ended: str
     headings: Array
     planned_rad: Array
-    steps_mm: Array
+    steps: Array
     from_plane_mm: float
     heading_sd_rad: float
 
@@ -172,7 +173,7 @@ def compare_plan(table: Table, recordings: Sequence[Recording]) -> PlanCompariso
             runs.append(run)
     claims = list(_success(runs)) if runs else []
     if scenario:
-        steps = sum(len(run.steps_mm) for run in runs)
+        steps = sum(len(run.steps) for run in runs)
         if not any(run.planned_rad.any() for run in runs):
             remarks.append("curvature and tip noise are not judged: no step of these insertions was to bend")
         elif steps >= _FEWEST_STEPS:
@@ -196,15 +197,17 @@ def _run(recording: Recording, scenario: Scenario | None) -> _PlannedRun | None:
     ends = [each.values for each in recording.messages(["/event"]) if each.values["name"] == "end"]
     if not decisions or not ends:
         return None
-    steps_mm = np.diff([float(each["path_mm"]) for each in decisions])
-    headings = planned = np.zeros(0)
+    advanced_mm = np.diff([float(each["path_mm"]) for each in decisions])
+    headings = planned = steps = np.zeros(0)
     if scenario:
         x_mm, y_mm, headings, bevels = np.array([each["pose"] for each in decisions], float).T
         sides = {"insert": 1.0, "rotate": -1.0}  # a straight step has none
         bevels = bevels * [sides.get(each["action"], 0.0) for each in decisions]
-        planned = steps_mm * (bevels / scenario.radius_mm(x_mm, y_mm))[:-1]
+        radii_mm = scenario.radius_mm(x_mm, y_mm)
+        planned = advanced_mm * (bevels / radii_mm)[:-1]
+        steps = advanced_mm / [scenario.motion.step_length_mm(float(radius_mm)) for radius_mm in radii_mm[:-1]]
     return _PlannedRun(
-        float(decisions[0]["success"]), str(ends[-1]["cause"]), headings, planned, steps_mm,
+        float(decisions[0]["success"]), str(ends[-1]["cause"]), headings, planned, steps,
         float(decisions[-1]["tip"]["z_mm"]),
         float(np.median([each["tip"]["heading_sd_rad"] for each in decisions])),
     )  # fmt: skip
@@ -227,23 +230,22 @@ def _success(runs: Sequence[_PlannedRun]) -> Iterator[PlanClaim]:
 
 def _motion(scenario: Scenario, runs: Sequence[_PlannedRun]) -> Iterator[PlanClaim]:
     """Yield the claims of curvature and tip noise."""
-    step_mm, motion = scenario.step_mm, scenario.motion
+    motion = scenario.motion
     claimed_sd = motion.noise_step_rad * math.sqrt(2 * sum(k**2 * p for k, p in enumerate(motion.tip_noise)))
     likelihood = _HeadingLikelihood(runs)
     best = likelihood.best()
     factor, sd = likelihood.factor(*best)
-    free = sum(len(run.steps_mm) for run in runs) - 3
+    free = sum(len(run.steps) for run in runs) - 3
     low, high = (factor + side * float(t.ppf(0.975, free)) * sd for side in (-1, 1))
     planned, name, unit = 1.0, "curvature, relative", ""
     if scenario.uniform and math.isfinite(scenario.needle.curvature_radius_mm):
         planned, name, unit = 1 / scenario.needle.curvature_radius_mm, "curvature", "1/mm"
     p_value = float(2 * t.sf(abs(factor - 1) / sd, free))
     yield PlanClaim(name, planned, planned * factor, planned * low, planned * high, unit, p_value)
-    degrees = math.degrees(math.sqrt(step_mm))
-    low, high = likelihood.interval(best)
-    drop = 2 * (likelihood(*best) - likelihood.profile(max(claimed_sd / math.sqrt(step_mm), _LEAST_SD)))
+    drop = 2 * (likelihood(*best) - likelihood.profile(max(claimed_sd, _LEAST_SD)))
+    low, high = map(math.degrees, likelihood.interval(best))
     yield PlanClaim(
-        "tip noise of a step", math.degrees(claimed_sd), degrees * best[0], degrees * low, degrees * high, "deg",
+        "tip noise of a step", math.degrees(claimed_sd), math.degrees(best[0]), low, high, "deg",
         float(chi2.sf(max(drop, 0.0), 1)),
     )  # fmt: skip
 
@@ -261,14 +263,14 @@ class _HeadingLikelihood:
     """Restricted log-likelihood of the heading increments of all runs."""
 
     def __init__(self, runs: Sequence[_PlannedRun]) -> None:
-        runs = [run for run in runs if len(run.steps_mm)]
+        runs = [run for run in runs if len(run.steps)]
         turns = [np.diff(run.headings) for run in runs]
         self._increments = [np.arctan2(np.sin(turn), np.cos(turn)) for turn in turns]
-        self._steps = [run.steps_mm for run in runs]
+        self._steps = [run.steps for run in runs]
         self._planned = [run.planned_rad for run in runs]
 
     def __call__(self, noise: float, error: float) -> float:
-        """Return the log-likelihood for a noise (rad/sqrt(mm)) and an error of the headings (rad)."""
+        """Return the log-likelihood for the noise of a step (rad) and an error of the headings (rad)."""
         normal, right, square, logs = self._sums(noise, error)
         return -0.5 * (logs + math.log(normal) + square - right**2 / normal)
 
@@ -295,7 +297,7 @@ class _HeadingLikelihood:
         def loss(logs: Array) -> float:
             return -self(*np.exp(logs).tolist())
 
-        starts = np.log([(0.02, 0.01), (0.01, 0.002), (0.002, 0.01)])
+        starts = np.log([(0.05, 0.01), (0.02, 0.002), (0.005, 0.02)])
         found = [minimize(loss, start, bounds=[_LOG_RANGE] * 2) for start in starts]
         noise, error = np.exp(min(found, key=lambda each: float(each.fun)).x).tolist()
         return noise, error
