@@ -46,7 +46,6 @@ __all__ = [
     "frame_of",
     "nearest_labels",
     "refinement_of",
-    "signed_distances",
 ]
 
 # Anatomical directions against and along R, A and S.
@@ -297,23 +296,3 @@ def file_distances(volume: LabelVolume, obstacle: NDArray[np.bool_], frame: Spac
     inward = np.asarray(ndimage.distance_transform_edt(np.pad(part, 1), sampling=sizes), np.float32)[1:-1, 1:-1, 1:-1]
     distances = np.where(part, half - inward, np.minimum(outward - half, _FARTHEST_MM))
     return FileDistances(low, distances.astype(np.float32))
-
-
-def signed_distances(volume: LabelVolume, obstacle: NDArray[np.bool_], frame: SpaceFrame) -> NDArray[np.float32]:
-    """Return the distances of the grid points to an obstacle.
-
-    Parameters
-    ----------
-    volume : LabelVolume
-        Volume with the position of the voxels.
-    obstacle : numpy.ndarray
-        Which voxels belong to the obstacle, of the shape of the volume.
-    frame : SpaceFrame
-        Frame with the grid points.
-
-    Returns
-    -------
-    numpy.ndarray
-        Distances (mm, float32), of the shape of the frame; negative inside, at most 30 mm.
-    """
-    return file_distances(volume, obstacle, frame).at_points(volume, frame)

@@ -8,7 +8,7 @@ from abc import ABC, abstractmethod
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
-from needleplan.cli.options import read_any_table
+from needleplan.cli.options import read_table
 from needleplan.cli.uncertainty import promise_lines, promised, read_error, read_model, read_uncertainty
 from needleplan.errors import InputError, Mistake, SweepError
 
@@ -275,7 +275,7 @@ class SpaceInsertPlan(InsertPlan):
 
 def read_insert_plan(options: argparse.Namespace) -> InsertPlan:
     """Read the table that the options name, and check that it fits them. Raises InputError."""
-    table = read_any_table(options)
+    table = read_table(options)
     found: InsertPlan = insert_plan_class(table)(table, options)
     return found
 

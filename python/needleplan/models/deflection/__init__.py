@@ -31,9 +31,6 @@ from needleplan.models.deflection._march import (
 )
 from needleplan.models.deflection._path_law import (
     FreePath,
-    circle_push_n,
-    flip_jump,
-    side_slip,
     steady_radius_mm,
     tip_path_mm,
 )
@@ -62,15 +59,12 @@ __all__ = [
     "SpatialBeam",
     "TipPath",
     "UnsupportedShaft",
-    "circle_push_n",
     "cutting_force_n",
     "finite_depth_factor",
     "fit_shape",
-    "flip_jump",
     "hermite",
     "march",
     "radius_from_axial_mm",
-    "side_slip",
     "solve_elements",
     "solve_exact",
     "solve_uniform",

@@ -20,7 +20,7 @@ from needleplan.signals import Array, Motion
 if TYPE_CHECKING:
     from needleplan.models._estimates import Estimate
 
-__all__ = ["AddedEffect", "AugmentedModel", "with_effect", "without_effect"]
+__all__ = ["AddedEffect", "AugmentedModel", "with_effect"]
 
 
 @dataclass(frozen=True)
@@ -132,11 +132,3 @@ def with_effect(model: Model, added: AddedEffect | Sequence[AddedEffect]) -> Aug
     if isinstance(model, AugmentedModel):
         return AugmentedModel(model.base, (*model.effects, *more))
     return AugmentedModel(model, more)
-
-
-def without_effect(model: Model, name: str) -> Model:
-    """Return the model without its effects of the given name. Raises ModelError if the model has no such effect."""
-    if not isinstance(model, AugmentedModel) or name not in {effect.name for effect in model.effects}:
-        raise ModelError(Mistake("effect", name, "is not an effect of the model"), model.name)
-    left = tuple(effect for effect in model.effects if effect.name != name)
-    return AugmentedModel(model.base, left) if left else model.base

@@ -15,7 +15,6 @@ axial friction of this needle suggests. The value of the thesis is an upper boun
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import accumulate
 
 import numpy as np
 
@@ -136,31 +135,6 @@ class Torsion:
             )
         )
         return self.torque_per_length_n * radius_mm / self.stiffness_n_mm2 * (inserted_mm / angle) ** 2
-
-    def tip_angle_rad(
-        self, base_rad: Array, outside_mm: float, inserted_mm: float, start_rad: float | None = None
-    ) -> Array:
-        """Return the angle of the tip for a history of the base at a fixed depth.
-
-        Parameters
-        ----------
-        base_rad : Array
-            Angle of the base, shape (samples,).
-        outside_mm, inserted_mm : float
-            Length of the shaft outside of and inside the tissue.
-        start_rad : float, optional
-            Angle of the tip before the first sample. The default is the first angle of the base: untwisted.
-
-        Returns
-        -------
-        Array
-            Angle of the tip, shape (samples,).
-        """
-        lag = self.lag_rad(outside_mm, inserted_mm)
-        base = np.asarray(base_rad, float)
-        first = float(base[0]) if start_rad is None else start_rad
-        behind = accumulate(base.tolist(), lambda tip, angle: dragged(tip, angle, lag), initial=first)
-        return np.array(list(behind)[1:])
 
     def compensated_rad(self, start_rad: float, target_rad: float, outside_mm: float, inserted_mm: float) -> Array:
         """Return the angles of the base that bring tip and base to a target angle.
