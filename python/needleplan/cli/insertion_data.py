@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from needleplan.artifacts import call_repr
 from needleplan.cli.answer import note
-from needleplan.cli.data_options import data_files
+from needleplan.cli.data_options import data_files, wrong_for_plans
 from needleplan.errors import InputError, Mistake
 
 if TYPE_CHECKING:
@@ -20,15 +20,6 @@ if TYPE_CHECKING:
 __all__ = ["DiagnosedInsertions", "read_insertions"]
 
 _RECORDING = ".mcap"
-# Options for files that are not recordings, with their defaults.
-_FILES_ONLY = {
-    "scenario": None,
-    "surface": None,
-    "columns": None,
-    "frame": None,
-    "accept_units": False,
-    "without_references": False,
-}
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,13 +44,9 @@ def read_insertions(options: argparse.Namespace) -> DiagnosedInsertions:
     from needleplan.reports.diagnosis.diagnosed_anatomy import planned_path_model
     from needleplan.signals import Role
 
-    mistakes = [
-        Mistake(f"--{name.replace('_', '-')}", f"{value}", "is for models: the model is an anatomy")
-        for name, default in _FILES_ONLY.items()
-        if (value := getattr(options, name)) != default
-    ]
     rule = "must be a recording (.mcap) of `insert`, of `simulate` for --noise: the model is an anatomy"
     files = data_files(options)
+    mistakes = wrong_for_plans(options, "the model is an anatomy", ("holdout", "noise", "reference", "rate"))
     mistakes += [Mistake("DATA", file, rule) for file in files if not file.lower().endswith(_RECORDING)]
     mistakes += [Mistake("DATA", file, "is given twice") for file in {*files} if files.count(file) > 1]
     if mistakes:
