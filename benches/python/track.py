@@ -76,7 +76,7 @@ def criterion(quick: bool) -> dict[str, float]:
     began = time()
     chosen = [word for name in BENCHES for word in ("--bench", name)]
     pace = ("--quick",) if quick else ("--warm-up-time", "1", "--measurement-time", "3")
-    output("cargo", "bench", "--locked", "-p", "needle", *chosen, "--", *pace)
+    output("cargo", "bench", "--locked", "-p", "needleplan-benches", *chosen, "--", *pace)
     figures = {}
     target = Path(os.environ.get("CARGO_TARGET_DIR", ROOT / "target"))
     for estimates in sorted(target.glob("criterion/**/new/estimates.json")):

@@ -14,7 +14,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from needleplan.artifacts.path_text import path_text
+from needleplan.artifacts.file_kinds import path_text
 from needleplan.artifacts.read_files import was_read
 from needleplan.artifacts.short_repr import short_html
 from needleplan.errors import InputError, Mistake, OutputError
