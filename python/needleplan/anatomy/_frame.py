@@ -29,7 +29,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from needleplan.anatomy._volume import largest_bytes
-from needleplan.artifacts import short_html, short_repr
+from needleplan.artifacts import ShortRepr
 from needleplan.errors import Mistake, ScenarioError
 
 if TYPE_CHECKING:
@@ -71,7 +71,7 @@ _FARTHEST_MM = 30.0
 
 
 @dataclass(frozen=True, eq=False)
-class SpaceFrame:
+class SpaceFrame(ShortRepr):
     """Axes and grid of a lattice.
 
     - `origin_mm`: grid point 0 in RAS mm, shape (3,).
@@ -102,9 +102,6 @@ class SpaceFrame:
     axes: NDArray[np.float64]
     spacing_mm: float
     shape: tuple[int, int, int]
-
-    __repr__ = short_repr
-    _repr_html_ = short_html
 
     def world(self, points_mm: ArrayLike) -> NDArray[np.float64]:
         """Return the RAS positions (mm) of points of the frame (mm), shape (..., 3)."""

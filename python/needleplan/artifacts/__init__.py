@@ -29,15 +29,16 @@ from needleplan.artifacts.files import (
     write_whole,
 )
 from needleplan.artifacts.read_files import may_replace, recorded_reads, require_unread, was_read
-from needleplan.artifacts.short_repr import MOST_CHARACTERS, call_repr, short_html, short_repr
+from needleplan.artifacts.short_repr import MOST_CHARACTERS, CallRepr, ShortRepr, short_html, short_repr
 
 __all__ = [
     "FORMATS",
     "MOST_CHARACTERS",
+    "CallRepr",
     "FileFormat",
     "FileKind",
     "Parent",
-    "call_repr",
+    "ShortRepr",
     "digest",
     "expect_new",
     "file_format",

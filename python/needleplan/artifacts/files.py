@@ -16,7 +16,7 @@ from typing import Any
 
 from needleplan.artifacts.file_kinds import path_text
 from needleplan.artifacts.read_files import was_read
-from needleplan.artifacts.short_repr import short_html
+from needleplan.artifacts.short_repr import CallRepr
 from needleplan.errors import InputError, Mistake, OutputError
 
 __all__ = [
@@ -50,7 +50,7 @@ _unfinished: set[Path] = set()
 
 
 @dataclass(frozen=True)
-class Parent:
+class Parent(CallRepr):
     """An artefact from which another artefact was made.
 
     Parameters
@@ -72,8 +72,6 @@ class Parent:
     name: str
     digest: str
     file: str = ""
-
-    _repr_html_ = short_html
 
 
 def digest(content: str | bytes | memoryview) -> str:

@@ -6,7 +6,7 @@ import argparse
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from needleplan.artifacts import call_repr
+from needleplan.artifacts import CallRepr
 from needleplan.cli.answer import note
 from needleplan.cli.data_options import data_files, wrong_for_plans
 from needleplan.errors import InputError, Mistake
@@ -23,15 +23,13 @@ _RECORDING = ".mcap"
 
 
 @dataclass(frozen=True, eq=False)
-class DiagnosedInsertions:
+class DiagnosedInsertions(CallRepr):
     """Trials of a diagnosis, the plan and its model of the path, and the paths of the training trials."""
 
     scenario: SpaceScenario
     file: ModelFile
     records: list[Record]
     training: list[InsertionPath]
-
-    __repr__ = call_repr
 
 
 def read_insertions(options: argparse.Namespace) -> DiagnosedInsertions:

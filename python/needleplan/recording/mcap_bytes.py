@@ -19,7 +19,7 @@ from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.writer import MCAP0_MAGIC
 
-from needleplan.artifacts import call_repr
+from needleplan.artifacts import CallRepr
 from needleplan.errors import DataError, InputError, Mistake
 from needleplan.recording._data_files import PathLike
 from needleplan.recording._journal import PROFILE, SESSION, Counts
@@ -63,15 +63,13 @@ class Damage:
 
 
 @dataclass
-class Definitions:
+class Definitions(CallRepr):
     """Schemas and channels by number; the session as stored and the counts, each None until it is found."""
 
     schemas: dict[int, records.Schema] = field(default_factory=dict)
     channels: dict[int, records.Channel] = field(default_factory=dict)
     session: dict[str, Any] | None = None
     counts: Counts | None = None
-
-    __repr__ = call_repr
 
 
 @contextlib.contextmanager

@@ -9,7 +9,7 @@ from enum import StrEnum
 import numpy as np
 from numpy.typing import NDArray
 
-from needleplan.artifacts import short_html, short_repr
+from needleplan.artifacts import ShortRepr
 from needleplan.errors import DataError, Mistake
 from needleplan.signals._frame import RecordFrame
 
@@ -34,7 +34,7 @@ ComplexArray = NDArray[np.complex128]
 
 
 @dataclass(frozen=True)
-class Motion:
+class Motion(ShortRepr):
     """A sampled motion of the needle; all fields have the shape (samples,), or are scalars for one instant.
 
     Parameters
@@ -64,9 +64,6 @@ class Motion:
     velocity_mm_s: Array
     direction: Array
     angle_rad: Array
-
-    __repr__ = short_repr
-    _repr_html_ = short_html
 
     @classmethod
     def sampled(
@@ -226,7 +223,7 @@ class Role(StrEnum):
 
 
 @dataclass(frozen=True)
-class Record:
+class Record(ShortRepr):
     """One trial: named columns of one length in the units of `UNITS`.
 
     The constructor raises DataError if `time_s` is missing, a name is not in `UNITS`, or the shapes differ.
@@ -267,9 +264,6 @@ class Record:
     notes: tuple[str, ...] = field(default=())
     frame: RecordFrame = RecordFrame()
     begun_s: float | None = None
-
-    __repr__ = short_repr
-    _repr_html_ = short_html
 
     def __post_init__(self) -> None:
         if "time_s" not in self.columns:

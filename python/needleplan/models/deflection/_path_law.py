@@ -31,7 +31,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from needleplan.artifacts import call_repr
+from needleplan.artifacts import CallRepr
 from needleplan.errors import Mistake, ModelError
 from needleplan.models.deflection._beam import ElasticTissue, NeedleShaft
 from needleplan.signals import Array
@@ -40,7 +40,7 @@ __all__ = ["FreePath", "steady_radius_mm", "tip_path_mm"]
 
 
 @dataclass(frozen=True)
-class FreePath:
+class FreePath(CallRepr):
     """State of the path law at one depth. `advanced` returns the state at a larger depth.
 
     `push_n` is P at this depth. `once_n_mm` and `twice_n_mm2` are the first and second integral of P from the entry.
@@ -52,8 +52,6 @@ class FreePath:
     push_n: float = 0.0
     once_n_mm: float = 0.0
     twice_n_mm2: float = 0.0
-
-    __repr__ = call_repr
 
     def advanced(self, depth_mm: float, push_n: float) -> FreePath:
         """Return the state at a greater depth, with P linear in between.

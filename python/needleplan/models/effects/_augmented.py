@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from needleplan.artifacts import call_repr
+from needleplan.artifacts import CallRepr
 from needleplan.errors import Mistake, ModelError
 from needleplan.models._base import Channel, Model, SelfIntegratingModel
 from needleplan.models._simulate import simulate
@@ -24,7 +24,7 @@ __all__ = ["AddedEffect", "AugmentedModel", "with_effect"]
 
 
 @dataclass(frozen=True)
-class AddedEffect:
+class AddedEffect(CallRepr):
     """An effect with parameter values, as part of a model.
 
     `values` contains at least every free parameter. `estimates` holds the fitted values with intervals. `found_by` is
@@ -37,8 +37,6 @@ class AddedEffect:
     estimates: Mapping[str, Estimate] = field(default_factory=dict)
     found_by: str = ""
     version: str = "1"
-
-    __repr__ = call_repr
 
     def __post_init__(self) -> None:
         effect = effect_named(self.name)

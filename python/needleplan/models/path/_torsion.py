@@ -18,7 +18,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from needleplan.artifacts import short_html
+from needleplan.artifacts import CallRepr
 from needleplan.errors import Mistake, ModelError
 from needleplan.signals import Array
 
@@ -34,7 +34,7 @@ def dragged(tip_rad: float, base_rad: float, lag_rad: float) -> float:
 
 
 @dataclass(frozen=True)
-class Torsion:
+class Torsion(CallRepr):
     """Torsional lag between base and tip.
 
     The constructor raises ModelError unless the stiffness is positive and the torque is not negative.
@@ -56,8 +56,6 @@ class Torsion:
 
     stiffness_n_mm2: float
     torque_per_length_n: float
-
-    _repr_html_ = short_html
 
     def __post_init__(self) -> None:
         mistakes = []
