@@ -30,7 +30,7 @@ from needleplan.anatomy._roles import StructureRole, role_by_name
 from needleplan.anatomy._volume import LabelVolume
 from needleplan.artifacts import CallRepr
 from needleplan.config import suggestion
-from needleplan.errors import Mistake, ScenarioError
+from needleplan.errors import Mistake, ScenarioError, reading
 
 __all__ = ["AnatomyCase", "CaseChoices", "CaseStructure", "read_case"]
 
@@ -175,10 +175,8 @@ def read_case(folder: str | os.PathLike[str], choices: CaseChoices | None = None
 
 def _read_all(folder: Path) -> tuple[list[Structure], list[MarkedPoint]]:
     """Return the structures and the points of a folder. Raises ScenarioError with the mistakes of all files."""
-    try:
+    with reading(folder, ScenarioError):
         files = sorted(each for each in folder.iterdir() if each.is_file() and not each.name.startswith("."))
-    except OSError as error:
-        raise ScenarioError(f"cannot be read: {error.strerror}", str(folder)) from None
     masks = [each for each in files if each.name.lower().endswith(MASK_ENDINGS)]
     if not masks:
         raise ScenarioError(f"has no segmentation: files {', '.join(MASK_ENDINGS)}", str(folder))

@@ -17,7 +17,7 @@ from typing import Any
 from needleplan.artifacts.file_kinds import path_text
 from needleplan.artifacts.read_files import was_read
 from needleplan.artifacts.short_repr import CallRepr
-from needleplan.errors import InputError, Mistake, OutputError
+from needleplan.errors import InputError, Mistake, OutputError, reading
 
 __all__ = [
     "Parent",
@@ -85,12 +85,8 @@ def read_key(path: str | os.PathLike[str]) -> bytes:
 
     Raises InputError if the file cannot be read or the key is shorter than 16 bytes.
     """
-    try:
-        with Path(path).open("rb") as stream:
-            key = stream.read(2**16).strip()
-    except (OSError, ValueError) as error:
-        reason = getattr(error, "strerror", None) or error
-        raise InputError(f"cannot be read: {reason}", os.fspath(path)) from error
+    with reading(path), Path(path).open("rb") as stream:
+        key = stream.read(2**16).strip()
     try:
         require_key(key)
     except InputError as error:

@@ -20,7 +20,7 @@ from mcap.opcode import Opcode
 from mcap.writer import MCAP0_MAGIC
 
 from needleplan.artifacts import CallRepr
-from needleplan.errors import DataError, InputError, Mistake
+from needleplan.errors import DataError, Mistake, reading
 from needleplan.recording._data_files import PathLike
 from needleplan.recording._journal import PROFILE, SESSION, Counts
 
@@ -75,18 +75,12 @@ class Definitions(CallRepr):
 @contextlib.contextmanager
 def mapped(path: PathLike) -> Iterator[Any]:
     """Yield the bytes of a file as a memory map. Raises DataError if it cannot be read."""
-    try:
-        with Path(path).open("rb") as stream:
-            if os.fstat(stream.fileno()).st_size == 0:
-                yield b""
-                return
-            with mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as data:
-                yield data
-    except InputError:
-        raise
-    except (OSError, ValueError) as error:
-        reason = getattr(error, "strerror", None) or error
-        raise DataError(f"cannot be read: {reason}", os.fspath(path)) from error
+    with reading(path, DataError), Path(path).open("rb") as stream:
+        if os.fstat(stream.fileno()).st_size == 0:
+            yield b""
+            return
+        with mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as data:
+            yield data
 
 
 def require_intact(stream: BinaryIO, source: str) -> None:

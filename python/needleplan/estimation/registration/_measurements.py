@@ -20,7 +20,7 @@ from pathlib import Path
 import numpy as np
 
 from needleplan.artifacts import ShortRepr, digest
-from needleplan.errors import DataError, Mistake
+from needleplan.errors import DataError, Mistake, reading
 from needleplan.recording.pose_files import POINTS, POSES, QUATERNION, TrackedRows, read_tracked
 from needleplan.signals import Array, FrameName, RecordFrame
 
@@ -209,8 +209,5 @@ def _unit(quaternions: Array) -> Array:
 
 
 def _content(path: str | os.PathLike[str]) -> bytes:
-    try:
+    with reading(path, DataError):
         return Path(path).read_bytes()
-    except (OSError, ValueError) as error:
-        reason = getattr(error, "strerror", None) or error
-        raise DataError(f"cannot be read: {reason}", os.fspath(path)) from error
