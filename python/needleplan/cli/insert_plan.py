@@ -136,7 +136,7 @@ class PlaneInsertPlan(InsertPlan):
 
     @property
     def expected_start(self) -> tuple[float, ...]:
-        """x_mm, y_mm and heading_rad."""
+        """Pose at which the insertion starts: x_mm, y_mm and heading_rad."""
         return self.start.x_mm, self.start.y_mm, self.start.heading_rad
 
     def success(self) -> Success:
@@ -198,7 +198,7 @@ class SpaceInsertPlan(InsertPlan):
 
     @property
     def expected_start(self) -> tuple[float, ...]:
-        """x_mm, y_mm, heading_rad, z_mm and elevation_rad."""
+        """Pose at which the insertion starts: x_mm, y_mm, heading_rad, z_mm and elevation_rad."""
         heading, elevation = self.start.angles_rad
         return self.start.x_mm, self.start.y_mm, heading, self.start.z_mm, elevation
 
