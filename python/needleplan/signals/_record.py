@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields, replace
 from enum import StrEnum
 
@@ -266,9 +266,17 @@ class Record(ShortRepr):
     begun_s: float | None = None
 
     def __post_init__(self) -> None:
+        if not isinstance(self.columns, Mapping):
+            rule = "must be a mapping from the names of columns to numbers"
+            raise DataError(Mistake("columns", f"<{type(self.columns).__name__}>", rule), self.trial)
         if "time_s" not in self.columns:
             raise DataError(Mistake("time_s", "", "is missing"))
-        columns = {name: np.asarray(values, float) for name, values in self.columns.items()}
+        columns = {}
+        for name, values in self.columns.items():
+            try:
+                columns[name] = np.asarray(values, float)
+            except (TypeError, ValueError) as error:
+                raise DataError(Mistake(name, "", f"must hold numbers: {error}"), self.trial) from None
         unknown = [Mistake(name, "", f"must be one of {', '.join(UNITS)}") for name in columns if name not in UNITS]
         shape = columns["time_s"].shape
         unknown += [
