@@ -18,12 +18,12 @@ from needleplan.models.deflection import (
     finite_depth_factor,
     march,
     solve_elements,
-    solve_exact,
     solve_uniform,
     steady_radius_mm,
     tip_path_mm,
 )
 from tests.models.deflection.thesis import NEEDLE
+from tests.reference.exact_beam import solve_exact
 
 GEL = ElasticTissue(3.87e-3, 123.9e-6)
 LENGTH = NEEDLE.length_mm
