@@ -12,14 +12,13 @@ from typing import Any
 
 from needleplan.control.safety import GuardedStage, OperatingState, Order, SafetyEvent, SafetyEventName, SafetyLimits
 from needleplan.devices import ForceSensor, PoseSample, Source, Tracker, VirtualClock
-from needleplan.devices.ati import NetFt, NetFtBox, parse_configuration
-from needleplan.devices.ndi import AuroraDevice, NdiTracker, SimulatedTool
+from needleplan.devices.ati import BoxLink, NetFt, NetFtBox, parse_configuration
+from needleplan.devices.ndi import AuroraDevice, AuroraLink, NdiTracker, SimulatedTool
 from needleplan.errors import DeviceFault, NeedleplanError
 from needleplan.recording import EVENT, Recorder, Recording, Session, WhenFull
 from tests.control.safety.bench import NotedStage
 from tests.devices.ati.bench import Wrench
 from tests.devices.ndi.bench import REFERENCE, TIP, needle, plate
-from tests.devices.virtual_links import AuroraLink, BoxLink
 
 TURN_S = 0.005
 LIMITS = SafetyLimits(out_of_plane_mm=400.0)

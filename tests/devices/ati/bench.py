@@ -5,8 +5,7 @@ from __future__ import annotations
 import random
 
 from needleplan.devices import VirtualClock
-from needleplan.devices.ati import ForceLimits, NetFt, NetFtBox, parse_configuration
-from tests.devices.virtual_links import BoxLink
+from needleplan.devices.ati import BoxLink, ForceLimits, NetFt, NetFtBox, parse_configuration
 
 
 class Wrench:

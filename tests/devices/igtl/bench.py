@@ -7,8 +7,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from needleplan.devices import VirtualClock
-from needleplan.devices.igtl import IgtlPoseLimits, IgtlTracker, PlusDevice, PlusFaults, PoseKind, TrackedTool
-from tests.devices.virtual_links import PlusLink
+from needleplan.devices.igtl import IgtlPoseLimits, IgtlTracker, PlusDevice, PlusFaults, PlusLink, PoseKind, TrackedTool
 
 TIP, PLATE = "NeedleToTracker", "PlateToTracker"
 

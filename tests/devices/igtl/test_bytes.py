@@ -14,8 +14,13 @@ from needleplan.devices.igtl.contents import (
     Sensor,
     StatusCode,
     Unit,
+    decode_points,
+    decode_polyline,
     decode_reply,
+    decode_sensor,
     decode_start,
+    decode_status,
+    decode_string,
     encode_points,
     encode_polyline,
     encode_sensor,
@@ -38,7 +43,6 @@ from needleplan.devices.igtl.poses import (
     encode_transform,
 )
 from needleplan.errors import InputError, ProtocolError
-from tests.devices.igtl.decoders import decode_points, decode_polyline, decode_sensor, decode_status, decode_string
 
 singles = st.floats(-1e4, 1e4, width=32)
 places = st.tuples(singles, singles, singles)
@@ -143,10 +147,13 @@ def test_any_bytes_are_read_without_an_error(data: bytes) -> None:
     assert reader.pending + reader.damaged_bytes == len(data) or reader.skipped
 
 
-@given(st.sampled_from(["TRANSFORM", "POSITION", "TDATA", "QTDATA"]), st.binary(max_size=200))
+@given(st.sampled_from(["TRANSFORM", "POSITION", "TDATA", "QTDATA", "STATUS", "STRING", "POINT", "POLYDATA", "SENSOR"]),
+       st.binary(max_size=200))  # fmt: skip
 def test_any_content_is_understood_or_a_protocol_error(kind: str, content: bytes) -> None:
     decode: dict[str, Any] = {
         "TRANSFORM": decode_transform, "POSITION": decode_position, "TDATA": decode_tdata, "QTDATA": decode_qtdata,
+        "STATUS": decode_status, "STRING": decode_string, "POINT": decode_points, "POLYDATA": decode_polyline,
+        "SENSOR": decode_sensor,
     }  # fmt: skip
     try:
         understood = decode[kind](content)

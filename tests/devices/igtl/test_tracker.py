@@ -8,11 +8,10 @@ from collections.abc import Iterator
 import pytest
 
 from needleplan.devices import Health, Tracker
-from needleplan.devices.igtl import IgtlPoseLimits, IgtlTracker, PlusServer, PoseKind
+from needleplan.devices.igtl import IgtlPoseLimits, IgtlTracker, PlusLink, PlusServer, PoseKind
 from needleplan.errors import AddressError, ConfigurationError, DeviceFault, LinkClosed, ProtocolError
 from tests.devices.contract import TrackerContract
 from tests.devices.igtl.bench import TIP, Bench, plus
-from tests.devices.virtual_links import PlusLink
 
 HARDWARE = "NEEDLEPLAN_TEST_IGTL"
 PATIENT = IgtlPoseLimits(start_s=20.0, silence_s=5.0, late_s=5.0)

@@ -5,8 +5,7 @@ from __future__ import annotations
 import math
 
 from needleplan.devices import VirtualClock
-from needleplan.devices.ndi import AuroraDevice, NdiPoseLimits, NdiTracker, SimulatedTool
-from tests.devices.virtual_links import AuroraLink
+from needleplan.devices.ndi import AuroraDevice, AuroraLink, NdiPoseLimits, NdiTracker, SimulatedTool
 
 TIP, REFERENCE = "34801403", "34801404"
 

@@ -1,7 +1,7 @@
 """A simulated ATI Net F/T box with selectable faults; it sends the same bytes as a real box.
 
-`NetFtBox` has neither socket nor clock; `NetFtServer` offers the box by UDP and HTTP in real time. The wrench is a
-function of time.
+`NetFtBox` has neither socket nor clock. `BoxLink` connects a client to the box within one process on a virtual clock;
+`NetFtServer` offers the box by UDP and HTTP in real time. The wrench is a function of time.
 """
 
 from __future__ import annotations
@@ -11,21 +11,24 @@ import math
 import socket
 import threading
 import time
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 
 from needleplan.artifacts import CallRepr
 from needleplan.devices._base import Closing
+from needleplan.devices._clock import VirtualClock
+from needleplan.devices._links import Link
 from needleplan.devices.ati._configuration import FORCE_UNITS, TORQUE_UNITS
 from needleplan.devices.ati.rdt import RdtCommand, RdtRecord, decode_request, encode_records
-from needleplan.errors import ProtocolError
+from needleplan.errors import LinkClosed, ProtocolError
 
-__all__ = ["MEASUREMENTS_PER_S", "BoxFaults", "BoxSettings", "NetFtBox", "NetFtServer", "Peer"]
+__all__ = ["BoxFaults", "BoxLink", "BoxSettings", "NetFtBox", "NetFtServer", "Peer"]
 
 Peer = tuple[str, int]
 _Wrench = Callable[[float], tuple[float, float, float, float, float, float]]
-MEASUREMENTS_PER_S = 7000  # rate (Hz) at which the box measures; it sends every `divisor`-th measurement
+_MEASUREMENTS_PER_S = 7000  # rate (Hz) at which the box measures; it sends every `divisor`-th measurement
 _WRAP = 1 << 32
 
 
@@ -45,10 +48,10 @@ class BoxSettings(CallRepr):
         """Return the content of the page `netftapi2.xml`, with the bias of the box if given."""
         tags = {
             "prodname": self.product, "setserial": "FT00000", "runstat": "0x00000000", "comrdte": "Enabled",
-            "comrdtrate": round(MEASUREMENTS_PER_S / self.divisor), "comrdtbsiz": 1,
+            "comrdtrate": round(_MEASUREMENTS_PER_S / self.divisor), "comrdtbsiz": 1,
             "cfgcpf": f"{self.counts_per_force:g}" if self.counts_per_force < 1 else f"{self.counts_per_force:.0f}",
             "cfgcpt": f"{self.counts_per_torque:g}" if self.counts_per_torque < 1 else f"{self.counts_per_torque:.0f}",
-            "scfgfu": self.force_unit, "scfgtu": self.torque_unit, "runrate": MEASUREMENTS_PER_S,
+            "scfgfu": self.force_unit, "scfgtu": self.torque_unit, "runrate": _MEASUREMENTS_PER_S,
         }  # fmt: skip
         if bias:
             tags["setbias"] = ";".join(map(str, bias))
@@ -211,7 +214,7 @@ class NetFtServer(Closing):
     def _stream(self) -> None:
         began = due = time.monotonic()
         while not self._stopping.is_set():
-            period_s = self.box.settings.divisor / MEASUREMENTS_PER_S
+            period_s = self.box.settings.divisor / _MEASUREMENTS_PER_S
             due += period_s
             # After a pause of this process the box has gone on measuring; only its records are missing.
             missed = max(math.ceil((time.monotonic() - due) / period_s) - 20, 0)
@@ -257,3 +260,48 @@ def _pages(box: NetFtBox) -> type[BaseHTTPRequestHandler]:
             del format, args
 
     return _Page
+
+
+_HERE = ("in this process", 0)
+_NANO = 1_000_000_000
+
+
+class BoxLink(Link):
+    """Connects a client to `box` within one process; while `receive` advances `clock`, the box measures."""
+
+    box: NetFtBox
+
+    def __init__(self, box: NetFtBox, clock: VirtualClock) -> None:
+        self.box, self._clock = box, clock
+        self._due_ns = clock.now_ns()
+        self._waiting: deque[bytes] = deque()
+        self._closed = False
+
+    def send(self, data: bytes) -> None:
+        """Send a request to the box. Raises LinkClosed after `close`."""
+        if self._closed:
+            raise LinkClosed("the link to the box is closed")
+        self.box.request(data, _HERE)
+
+    def receive(self, timeout_s: float) -> bytes:
+        """Advance the clock, and return the next datagram from the box; b"" after `timeout_s`.
+
+        Raises LinkClosed after `close`.
+        """
+        if self._closed:
+            raise LinkClosed("the link to the box is closed")
+        end_ns = self._clock.now_ns() + round(timeout_s * _NANO)
+        while not self._waiting and self._due_ns <= end_ns:
+            self._clock.advance((self._due_ns - self._clock.now_ns()) / _NANO)
+            datagrams = self.box.step(self._due_ns / _NANO)
+            # If another client has requested the stream, its datagrams do not arrive at this link.
+            self._waiting.extend(datagrams if self.box.client == _HERE else ())
+            self._due_ns += round(self.box.settings.divisor / _MEASUREMENTS_PER_S * _NANO)
+        if self._waiting:
+            return self._waiting.popleft()
+        self._clock.advance((end_ns - self._clock.now_ns()) / _NANO)
+        return b""
+
+    def close(self) -> None:
+        """Close the link."""
+        self._closed = True

@@ -1,7 +1,7 @@
 """OpenIGTLink: a tracker behind a PLUS server, a server for 3D Slicer, and a simulated PLUS server."""
 
 from needleplan.devices.igtl._server import MessageServer, Shown, SlicerServer
-from needleplan.devices.igtl._simulator import PlusDevice, PlusFaults, PlusServer, TrackedTool
+from needleplan.devices.igtl._simulator import PlusDevice, PlusFaults, PlusLink, PlusServer, TrackedTool
 from needleplan.devices.igtl._tracker import IGTL_PORT, IgtlTracker, PoseKind
 from needleplan.devices.igtl.contents import StatusCode
 from needleplan.devices.igtl.messages import crc64
@@ -14,6 +14,7 @@ __all__ = [
     "MessageServer",
     "PlusDevice",
     "PlusFaults",
+    "PlusLink",
     "PlusServer",
     "PoseKind",
     "Shown",
