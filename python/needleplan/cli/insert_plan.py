@@ -78,7 +78,7 @@ class InsertPlan(ABC):
 
     @abstractmethod
     def tip_settings(self, noise_rad_sqrt_mm: float | None = None) -> TipSettings:
-        """Return the settings of the tip filter; without the tip noise of a lab, that of the plan."""
+        """Return the settings of the tip filter, with the tip noise of the lab, or else of the plan."""
 
     @abstractmethod
     def placed(self, registration: Registration) -> Registration:
@@ -186,7 +186,7 @@ class PlaneInsertPlan(InsertPlan):
 
 
 class SpaceInsertPlan(InsertPlan):
-    """A 3D table. The frame of the plan is that of the lattice; registrations of a user lead to RAS."""
+    """A 3D table. The plan uses the frame of the lattice; a registration by the user leads to RAS."""
 
     table: SpaceTable
     start: SpacePose

@@ -59,7 +59,7 @@ class CurvatureTrial(ShortRepr):
         return self.path.fitted.segments[0]
 
     def path_of(self, shape: PathShape, noise: TrackerNoise | None = None) -> EntryPath:
-        """Return the path with a shape. `noise` is another assumption about the noise than that of the trial."""
+        """Return the path with a shape. `noise` replaces the noise that the trial assumes."""
         assumed = noise or self.noise
         if (shape, assumed) == (self.path.shape, self.noise):
             return self.path

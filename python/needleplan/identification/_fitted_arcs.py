@@ -125,7 +125,7 @@ class FittedArcs(ShortRepr):
 
     @cached_property
     def segments(self) -> tuple[Curvature, ...]:
-        """Curvature of each arc of a chain whose arcs have a coefficient each, or of the whole path for one."""
+        """Curvature of each arc if each arc has its own coefficient, else of the whole path."""
         chain, rms, values = self.chain, self.rms_mm, self.values
         curvatures = []
         for number, row in enumerate(self._rows()):

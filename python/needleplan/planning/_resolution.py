@@ -203,7 +203,7 @@ def disagrees(found: Rollouts[Any]) -> bool:
 
 
 def what_helps(scenario: Scenario) -> str:
-    """Return the setting that brings predictions closer to executions, with a value beyond that of the scenario.
+    """Return the setting that brings predictions closer to executions, with a value beyond the scenario's value.
 
     Parameters
     ----------
