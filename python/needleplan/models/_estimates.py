@@ -132,7 +132,7 @@ class Fit(ShortRepr):
 
     @property
     def trades(self) -> tuple[str, ...]:
-        """A sentence for every set of parameters of which the data determine a combination only."""
+        """A sentence for every set of parameters that the data determine only in combination."""
         sentences = []
         for direction in self.undetermined:
             names = sorted(direction, key=lambda name: -abs(direction[name]))
