@@ -3,8 +3,6 @@
 Those that a class writes itself are shown by real objects, in `test_reprs`.
 """
 
-from __future__ import annotations
-
 import enum
 import importlib
 import inspect

@@ -1,7 +1,5 @@
 """Calls with wrong types, values, units and files: each raises a NeedleplanError with a short message."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any

@@ -4,8 +4,6 @@ PYTHONPATH=. python benches/python/deflection.py --json deflection.json
 PYTHONPATH=. python benches/python/deflection.py --insertions 200            # short test run
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import math

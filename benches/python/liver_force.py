@@ -14,8 +14,6 @@ folds of alternate blocks of 1 and 2 mm had been looked at before. Model I: in o
 model lies within held-out blocks, hence the large error.
 """
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Callable
 

@@ -5,8 +5,6 @@
 The best entries of shipped scenarios, and of a phantom of an anatomy in 3D, by executions.
 """
 
-from __future__ import annotations
-
 import tempfile
 import time
 

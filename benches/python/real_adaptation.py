@@ -9,8 +9,6 @@ seeing these data: noise from their description (0.3 mm that drifts over 10 s) g
 path, where the defaults give 0.26.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 from collections.abc import Iterator, Sequence

@@ -9,8 +9,6 @@ the measured tip at the depth that all insertions of the tissue reach, in the pl
 tip is the median of the samples within 1 mm of this depth.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 from collections.abc import Callable, Sequence

@@ -7,8 +7,6 @@ Times are medians in seconds. Each run is compared with the first run on the sam
 (`benches/guard`) do not depend on the load of the machine, but on compiler and processor.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import os

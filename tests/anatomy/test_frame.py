@@ -1,7 +1,5 @@
 """The frame of the lattice, resampling beside SimpleITK, and anatomies that contradict themselves."""
 
-from __future__ import annotations
-
 import math
 from contextlib import nullcontext
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Public files as they are: repeated times, resets, units, scales, missing columns, mixed frames, no hold-out."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Public files as they are, by a map of their columns: what the readers of single formats find, and the steps."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

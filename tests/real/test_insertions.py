@@ -1,7 +1,5 @@
 """Step-wise insertions into wax phantoms and tissue, tracked electromagnetically, 100 mm deep."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

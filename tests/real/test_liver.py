@@ -1,7 +1,5 @@
 """Axial force in bovine liver and heart, 3 mm/s, digitised from a figure (Okamura, Simone, O'Leary 2004)."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

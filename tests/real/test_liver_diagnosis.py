@@ -1,7 +1,5 @@
 """What a diagnosis says of a published curve: one trial, no noise record. The how-to shows this run, word by word."""
 
-from __future__ import annotations
-
 import json
 import shlex
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What the page on the diagnosis says of paths that were measured: no truth is known there."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Sound measurements of others have no faults of the sensor."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from needleplan.recording import read_records

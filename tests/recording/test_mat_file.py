@@ -1,7 +1,5 @@
 """MATLAB files of trials and tables say the same as the files they come from, also after Octave has written them."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess

@@ -14,8 +14,6 @@ four functions are then nearly dependent. Axial load (`AxialTerms.CONSISTENT`) h
 `solve_elements`.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

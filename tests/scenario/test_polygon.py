@@ -1,7 +1,5 @@
 """Polygons that are simple beyond doubt, against shapely."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 

@@ -1,7 +1,5 @@
 """Inertia: natural frequencies, and its negligible effect at the speed of an insertion."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

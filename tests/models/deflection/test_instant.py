@@ -1,7 +1,5 @@
 """The needle at an instant: exact solution, finite elements, collocation."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

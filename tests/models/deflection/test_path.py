@@ -1,7 +1,5 @@
 """Tissue that remembers its path: the march, and the closed forms."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """A shaft whose stiffness changes along it, against closed forms and collocation with one piece per stiffness."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """What holds for every effect; a plug-in that is installed is tested with the others."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The twisted shaft against closed forms, and against a discretised shaft that is solved by bounded least squares."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
