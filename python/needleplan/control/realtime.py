@@ -19,7 +19,7 @@ from dataclasses import asdict, dataclass
 from multiprocessing.connection import Connection
 from pathlib import Path
 
-from needleplan.artifacts import call_repr
+from needleplan.artifacts import CallRepr
 from needleplan.control.safety import GuardedStage, OperatingState, Order, SafetyLimits, Watchdog
 from needleplan.devices import Closing, ForceSample, PoseSample, Stamp, UdpLink, short_turns
 from needleplan.devices.robot import RobotMachine, RobotServer, RobotStage, RobotTiming, SteadyDrive
@@ -42,7 +42,7 @@ _NEVER_S = 5.0  # time (s) after which a STOP counts as missing
 
 
 @dataclass(frozen=True)
-class Promptness:
+class Promptness(CallRepr):
     """Measured times (ms) of stops and of heartbeats: median, 99.9 % quantile, largest, and number."""
 
     host: str
@@ -56,8 +56,6 @@ class Promptness:
     gaps: int
     missing: int
     """Number of tries that ended before their sample, because the machine paused, or without a STOP within 5 s."""
-
-    __repr__ = call_repr
 
     @property
     def limits(self) -> tuple[tuple[str, float, float, bool], ...]:

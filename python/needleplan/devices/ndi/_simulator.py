@@ -11,7 +11,7 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
-from needleplan.artifacts import call_repr
+from needleplan.artifacts import CallRepr
 from needleplan.devices._clock import Clock, SystemClock, VirtualClock
 from needleplan.devices._links import Link
 from needleplan.devices.ndi.commands import BAUD_CODES, decode_command, encode_text
@@ -26,7 +26,7 @@ _LONGEST_COMMAND = 1024  # bytes without a carriage return after which the devic
 
 
 @dataclass
-class SimulatedTool:
+class SimulatedTool(CallRepr):
     """A simulated coil in a port; `pose` returns quaternion (w, x, y, z) and position (mm) at a time in s."""
 
     serial: str
@@ -40,8 +40,6 @@ class SimulatedTool:
     initialised: bool = False
     enabled: bool = False
 
-    __repr__ = call_repr
-
     @property
     def port_status(self) -> int:
         """Port status word: the bits for tool in port, initialised and enabled, and `port_bits`."""
@@ -49,7 +47,7 @@ class SimulatedTool:
 
 
 @dataclass
-class AuroraFaults:
+class AuroraFaults(CallRepr):
     """Faults that the simulated device shows from now on."""
 
     damage: int = 0
@@ -79,11 +77,9 @@ class AuroraFaults:
     ignore_speed: bool = False
     """Whether the device acknowledges COMM without changing its speed."""
 
-    __repr__ = call_repr
-
 
 @dataclass
-class AuroraDevice:
+class AuroraDevice(CallRepr):
     """The simulated Aurora with its tools; `commands` lists the received commands.
 
     Frame numbers come from the function `count`, or from `clock` and `rate_hz` if `count` is None.
@@ -101,8 +97,6 @@ class AuroraDevice:
     _input: bytearray = field(default_factory=bytearray)
     _began_ns: int = 0
     _frame: int = 0
-
-    __repr__ = call_repr
 
     def answer(self, data: bytes) -> bytes:
         """Receive bytes, and return the replies to all commands that are now complete; b"" if there are none."""
