@@ -218,6 +218,19 @@ def compares_counters_without_wrap(robot: Faulty) -> None:
     robot.receives(see)
 
 
+@planted("wrap")
+def takes_nothing_for_life_after_a_wrap(robot: Faulty) -> None:
+    highest = [0]
+
+    def see(message: Any) -> Any:
+        highest[0] = max(highest[0], message.head.sequence)
+        if robot.session and message.head.sequence < highest[0]:
+            return replace(message, head=replace(message.head, sequence=robot.session.sequence))
+        return message
+
+    robot.receives(see)
+
+
 @planted("limits")
 def reduces_depths_instead_of_refusing(robot: Faulty) -> None:
     robot.receives(lambda each: replace(each, target=min(each.target, 2.0)) if each.kind is K.INSERT else each)

@@ -160,7 +160,8 @@ def wrap(bench: RobotBench) -> None:
     probe.expect(probe.command(K.ENABLE))
     require(probe.number < 10, "the counters have not wrapped")
     probe.expect(probe.command(K.ENABLE, number=_WRAP - 1), R.SUPERSEDED)
-    probe.depart()
+    probe.depart(1.5 * probe.silence_s)
+    require(probe.last.state is RobotState.ENABLED, "takes heartbeats after the wrap for no sign of life")
 
 
 def not_enabled(bench: RobotBench) -> None:
