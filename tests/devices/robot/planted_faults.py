@@ -163,11 +163,7 @@ def forgets_its_answer_with_the_next_hello(robot: Faulty) -> None:
 
 @planted("stop-overtaken")
 def drops_what_was_overtaken(robot: Faulty) -> None:
-    def see(message: Any) -> Any:
-        overtaken = robot.session and message.head.sequence <= robot.session.sequence
-        return None if overtaken else message
-
-    robot.receives(see)
+    robot.receives(lambda each: None if robot.session and each.head.sequence <= robot.session.sequence else each)
 
 
 @planted("late-heartbeat")
