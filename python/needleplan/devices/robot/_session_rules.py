@@ -114,6 +114,7 @@ def busy(bench: RobotBench) -> None:
     probe.expect(probe.hello())
     other.expect(other.hello(), R.BUSY)
     other.session, other.sequence, other.number = probe.session, 1000, 1000
+    other.expect(other.hello(), R.BUSY)
     other.seal = other.answered = probe.seal
     other.statuses = [(other.clock.now_ns(), probe.last)]
     other.expect(other.command(K.ENABLE), R.BUSY)
