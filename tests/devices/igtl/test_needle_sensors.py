@@ -33,7 +33,7 @@ def test_an_array_is_read_in_its_shape_and_type() -> None:
 @pytest.mark.parametrize(
     "content",
     [b"", b"\x0b", b"\x0b\x01", b"\x0d\x01\x00\x00", b"\x01\x01\x00\x01a", encode_array(CURVATURES)[:-1],
-     encode_array(CURVATURES) + b"a", b"\x0b\x04" + b"\xff" * 8, b"\x0b\xff" + b"\xff" * 8],
+     encode_array(CURVATURES) + b"a", b"\x0b\x04" + b"\xff" * 8, b"\x0b\xff" + b"\xff" * 8, b"\x0b\xff" + bytes(510)],
 )  # fmt: skip
 def test_what_is_no_array_is_refused(content: bytes) -> None:
     with pytest.raises(ProtocolError, match="NDARRAY"):

@@ -44,6 +44,8 @@ _START = struct.Struct(">I32s")
 _NUMBERS = {2: "i1", 3: "u1", 4: ">i2", 5: ">u2", 6: ">i4", 7: ">u4", 10: ">f4", 11: ">f8"}
 """Types of the numbers of NDARRAY (source: `igtl_ndarray.h` of the OpenIGTLink library), without complex ones."""
 
+_MOST_DIMENSIONS = 4  # largest number of dimensions of an NDARRAY; numpy has a limit of its own
+
 _ASCII, _UTF8, _LATIN = 3, 106, 4
 _ENCODINGS = {_ASCII: "ascii", _UTF8: "utf-8", _LATIN: "latin-1"}
 
@@ -179,7 +181,7 @@ def decode_array(content: bytes) -> npt.NDArray[np.float64]:
     """Return the array in the body of NDARRAY, in its shape. Raises ProtocolError; complex numbers are none of ours."""
     size = content[1] if len(content) > 1 else 0
     begin = 2 + 2 * size
-    if len(content) < max(begin, 4) or content[0] not in _NUMBERS:
+    if not 1 <= size <= _MOST_DIMENSIONS or len(content) < begin or content[0] not in _NUMBERS:
         raise ProtocolError(f"OpenIGTLink: NDARRAY of {len(content)} bytes, or of another type of numbers")
     shape = struct.unpack_from(f">{size}H", content, 2)
     kind = np.dtype(_NUMBERS[content[0]])
