@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 from dataclasses import asdict
 from pathlib import Path
+from statistics import median
 from typing import Any
 
 from needleplan.cli.answer import print_json, working
@@ -68,6 +69,7 @@ def run(options: argparse.Namespace) -> int:
 def _plan(options: argparse.Namespace) -> int:
     """Compare the claims of a table with recorded insertions. Return 0 if all of them hold, else 1."""
     from needleplan.artifacts import json_values
+    from needleplan.control import recorded_coil_mm
     from needleplan.diagnosis.plan_claims import compare_plan
     from needleplan.planning import Table
     from needleplan.recording import Recording
@@ -78,7 +80,9 @@ def _plan(options: argparse.Namespace) -> int:
     if given:
         raise InputError([Mistake(f"--{name}", "", "is for models; a table needs recordings alone") for name in given])
     with working(options, "comparing"):
-        found = compare_plan(Table.read(options.model), [Recording.read(file) for file in options.data])
+        table, recordings = Table.read(options.model), [Recording.read(file) for file in options.data]
+        coils = [coil_mm for recording in recordings if (coil_mm := recorded_coil_mm(recording)) is not None]
+        found = compare_plan(table, recordings, median(coils) if coils else 0.0)
     if options.json:
         claims = [asdict(claim) | {"holds": claim.holds} for claim in found.claims]
         record = {"table": options.model, "runs": found.runs, "ok": found.ok, "claims": claims}

@@ -70,7 +70,13 @@ def run(options: argparse.Namespace) -> int:
     moves, or its rest is unknown; 130: stopped. Raises InputError (OutputError, AddressError and others) for wrong
     options and files.
     """
-    from needleplan.simulation import SimulatedStation, are_simulated, open_insertion_station, tip_noise_remark
+    from needleplan.simulation import (
+        SimulatedStation,
+        are_simulated,
+        open_insertion_station,
+        simulated_coil_mm,
+        tip_noise_remark,
+    )
 
     read = (options.table, options.registration, options.scenario, options.needle, options.limits)
     require_outputs(options, read, options.output, options.vtp)
@@ -86,10 +92,10 @@ def run(options: argparse.Namespace) -> int:
     setup, hook = _setup(options, plan), require_estop(options.estop)
     for line in plan.warnings(options, safety_limits(options).force_n):
         note(f"warning: {line}")
-    for line in plan.make_promise(options):
+    simulated = are_simulated(robot, force, tracker)
+    for line in plan.make_promise(options, simulated_coil_mm(robot) if simulated else None):
         note(line)
     require_inputs_kept(options)
-    simulated = are_simulated(robot, force, tracker)
     fibre, plane = read_addressed_sensors(options, simulated=simulated)
     if not simulated and not options.registration:
         rule = "is missing: real devices require a registration; see `needleplan register`"

@@ -9,7 +9,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from needleplan.cli.options import read_any_table
-from needleplan.cli.uncertainty import promise_lines, promised, read_error, read_model, read_uncertainty
+from needleplan.cli.uncertainty import promise_lines, promised, read_model, read_registered, read_uncertainty
 from needleplan.errors import InputError, Mistake, SweepError
 
 if TYPE_CHECKING:
@@ -69,11 +69,17 @@ class InsertPlan(ABC):
     def success(self) -> Success:
         """Return the success of the plan from the start, from the same source as `plan` and `entry`."""
 
-    def make_promise(self, options: argparse.Namespace) -> Iterator[str]:
-        """Compute the promise from the start with the errors that the options and files state; yield its lines."""
-        error = read_error(options.registration)
+    def make_promise(self, options: argparse.Namespace, coil_mm: float | None = None) -> Iterator[str]:
+        """Compute the promise from the start with the errors that the options and files state; yield its lines.
+
+        `coil_mm` is the distance of the coil behind the tip in a simulated lab.
+        """
+        registered = read_registered(options.registration)
+        if coil_mm is not None:
+            registered.setdefault("coil_mm", coil_mm)
         planned_per_mm = 1 / self.table.scenario.needle.curvature_radius_mm if self.model else None
-        self.promise = promised(self.table, read_uncertainty(options, error, self.model, planned_per_mm), self.start)
+        uncertainty = read_uncertainty(options, registered, self.model, planned_per_mm)
+        self.promise = promised(self.table, uncertainty, self.start)
         yield from (f"{name}: {line}" for name, line in promise_lines(self.promise).items())
 
     @abstractmethod

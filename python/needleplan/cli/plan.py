@@ -33,7 +33,7 @@ from needleplan.cli.uncertainty import (
     promise_lines,
     promise_record,
     promised,
-    read_error,
+    read_registered,
     read_uncertainty,
 )
 from needleplan.errors import InputError, Mistake, ScenarioError
@@ -153,7 +153,7 @@ def run(options: argparse.Namespace) -> int:
         scenario = replace(scenario, target=replace(scenario.target, radius_mm=scenario.target.radius_mm - shift_mm))
     model = next((each.found for each in identified if each.place == "needle"), None)
     planned_per_mm = 1 / scenario.needle.curvature_radius_mm
-    uncertainty = read_uncertainty(options, read_error(options.registration), model, planned_per_mm)
+    uncertainty = read_uncertainty(options, read_registered(options.registration), model, planned_per_mm)
     inputs = [options.scenario, options.sign_key, options.registration, *(each.file for each in identified)]
     require_outputs(options, inputs, options.output)
     key = sign_key(options)

@@ -24,7 +24,7 @@ from needleplan.cli.options import (
     start_pose,
 )
 from needleplan.cli.parser import Parser, whole
-from needleplan.cli.uncertainty import add_uncertainty, read_error, read_uncertainty
+from needleplan.cli.uncertainty import add_uncertainty, read_registered, read_uncertainty
 from needleplan.errors import InputError, Mistake
 from needleplan.extras import require
 
@@ -129,7 +129,7 @@ def _page_of(options: argparse.Namespace) -> AnyPage:
     """Return the page of the file that the options name, with the promise of its entries. Raises InputError."""
     from needleplan.page import SpacePage
 
-    uncertainty = read_uncertainty(options, read_error(options.registration))
+    uncertainty = read_uncertainty(options, read_registered(options.registration))
     page = _exact_page(options)
     if not uncertainty.is_exact:
         if not isinstance(page, SpacePage):
