@@ -20,8 +20,6 @@ With `--references`, data sets without an effect, or with effects of the library
 further trials of other tissue and another motion in which the effects are absent.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 from collections import Counter

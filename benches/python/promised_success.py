@@ -6,8 +6,6 @@ The best entries of shipped scenarios, and of a phantom of an anatomy in 3D, by 
 behind the tip is judged by insertions in the lab twin `steering`, which has the tip noise of the plan.
 """
 
-from __future__ import annotations
-
 import tempfile
 import time
 

@@ -1,7 +1,5 @@
 """Every bench runs, with few runs, small grids or one case, in one process that imports the package once."""
 
-from __future__ import annotations
-
 import importlib
 import inspect
 import sys

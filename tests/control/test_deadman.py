@@ -1,7 +1,5 @@
 """Deadman switches over UDP: whose heartbeats hold the needle in motion, and for how long."""
 
-from __future__ import annotations
-
 import socket
 from collections.abc import Iterator
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Replanning with a table set: the nearest table first, the exact one when it is there, and again in a replay."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path

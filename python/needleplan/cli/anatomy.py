@@ -121,7 +121,7 @@ def run_table_entries(table: SpaceTable, options: argparse.Namespace) -> int:
 
 
 def _uncertainty(options: argparse.Namespace) -> Uncertainty:
-    """Return what is not known exactly. Raises InputError also for an option that several targets need."""
+    """Return the uncertainty that the options state. Raises InputError also for an option that several targets need."""
     _refuse(options, {"--rank": None}, "holds for an anatomy with several targets, and this has one")
     return read_uncertainty(options, read_registered(options.registration))
 

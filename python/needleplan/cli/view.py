@@ -17,7 +17,7 @@ from needleplan.cli.options import (
     add_force,
     add_start,
     add_verify_key,
-    read_any_table,
+    read_table,
     require_ending,
     require_inputs_kept,
     require_outputs,
@@ -149,7 +149,7 @@ def _exact_page(options: argparse.Namespace) -> AnyPage:
     if kind is FileKind.TABLE or ending in _TABLE_ENDINGS:
         _refuse_table(options)
         options.table = options.file
-        return _of_plan(read_any_table(options), options)
+        return _of_plan(read_table(options), options)
     if options.verify_key:
         raise InputError(Mistake("--verify-key", options.verify_key, "is for policy tables (.h5) only"))
     if kind is FileKind.RECORDING or ending == ".mcap":

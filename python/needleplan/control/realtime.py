@@ -19,7 +19,7 @@ from dataclasses import asdict, dataclass
 from multiprocessing.connection import Connection
 from pathlib import Path
 
-from needleplan.artifacts import call_repr
+from needleplan.artifacts import CallRepr
 from needleplan.control.safety import GuardedStage, OperatingState, Order, SafetyLimits, Watchdog
 from needleplan.devices import Closing, ForceSample, PoseSample, Stamp, UdpLink, short_turns
 from needleplan.devices.robot import (
@@ -54,7 +54,7 @@ _NEVER_S = 5.0  # time (s) after which a STOP counts as missing
 
 
 @dataclass(frozen=True)
-class Promptness:
+class Promptness(CallRepr):
     """Measured times (ms) of stops and of heartbeats: median, 99.9 % quantile, largest, and number."""
 
     host: str
@@ -71,8 +71,6 @@ class Promptness:
 
     line: bool = False
     """Whether the robot was behind a serial line (a pseudo-terminal) instead of UDP."""
-
-    __repr__ = call_repr
 
     @property
     def limits(self) -> tuple[tuple[str, float, float, bool], ...]:

@@ -22,7 +22,7 @@ from scipy.linalg import cholesky_banded, solveh_banded
 from scipy.optimize import brentq, minimize
 from scipy.stats import binomtest, chi2, t
 
-from needleplan.artifacts import call_repr, short_repr
+from needleplan.artifacts import CallRepr, ShortRepr
 from needleplan.errors import DataError, Mistake
 from needleplan.planning import Table, Uncertainty
 from needleplan.recording import Recording
@@ -46,7 +46,7 @@ _LOG_RANGE = math.log(_LEAST_SD), math.log(_LARGEST_SD)
 
 
 @dataclass(frozen=True)
-class PlanClaim:
+class PlanClaim(CallRepr):
     """One number that a plan states, beside its measured value.
 
     Attributes
@@ -71,8 +71,6 @@ class PlanClaim:
     unit: str
     p_value: float
 
-    __repr__ = call_repr
-
     @property
     def holds(self) -> bool:
         """Whether chance explains the difference, with a probability of 0.01 or more."""
@@ -80,7 +78,7 @@ class PlanClaim:
 
 
 @dataclass(frozen=True)
-class PlanComparison:
+class PlanComparison(ShortRepr):
     """The claims of a plan beside the insertions that followed it.
 
     Attributes
@@ -96,8 +94,6 @@ class PlanComparison:
     claims: tuple[PlanClaim, ...]
     runs: int
     remarks: tuple[str, ...]
-
-    __repr__ = short_repr
 
     @property
     def ok(self) -> bool:

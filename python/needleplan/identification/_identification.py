@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from needleplan.artifacts import short_html, short_repr
+from needleplan.artifacts import ShortRepr
 from needleplan.errors import DataError, Mistake
 from needleplan.identification._entry_population import TipPrediction
 from needleplan.models import Estimate, Finding, Model, ModelFile, Parent
@@ -22,7 +22,7 @@ __all__ = ["Finding", "Identification", "Trials", "averaged", "trials_by_role"]
 
 
 @dataclass(frozen=True)
-class Identification:
+class Identification(ShortRepr):
     """Result of the identification of a model from records.
 
     - `kind`: shaft-and-tip, force, friction, tissue-motion, deflection, curvature, duty-cycle or shape.
@@ -45,9 +45,6 @@ class Identification:
     draw: Callable[[Figure], None]
     prediction: TipPrediction | None = None
     fibre: FibreSensors | None = None
-
-    __repr__ = short_repr
-    _repr_html_ = short_html
 
     @property
     def ok(self) -> bool:

@@ -161,7 +161,7 @@ def fit_force(begin: DepthForce, train: Sequence[Record], sensor: MovingAverage,
 
 
 def _bounds(model: Model) -> dict[str, tuple[float, float]]:
-    """Return the bounds of a fit that keep g above 0: those of f1 of Model II."""
+    """Return bounds of a fit that keep g above 0; they limit f1 of Model II."""
     known = model.parameters()["f1"]
     return {"f1": (max(-_EDGE * model.f2, known.lower), known.upper)} if isinstance(model, ForceModel2) else {}
 

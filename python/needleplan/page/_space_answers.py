@@ -236,7 +236,7 @@ class SpacePage:
         return text.encode()
 
     def _number(self, request: Request) -> int:
-        """Return the number of the entry of a request, by default that of the best. Raises InputError."""
+        """Return the number of the entry in a request; the default is the best entry. Raises InputError."""
         entries = self._maps.of(request)
         number = request.get("number", entries.first())
         if not isinstance(number, int) or isinstance(number, bool) or not 0 <= number < len(entries.success):

@@ -15,7 +15,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 
-from needleplan.artifacts import call_repr
+from needleplan.artifacts import CallRepr
 from needleplan.devices._base import Closing
 from needleplan.devices.ati._configuration import FORCE_UNITS, TORQUE_UNITS
 from needleplan.devices.ati.rdt import RdtCommand, RdtRecord, decode_request, encode_records
@@ -30,7 +30,7 @@ _WRAP = 1 << 32
 
 
 @dataclass
-class BoxSettings:
+class BoxSettings(CallRepr):
     """Active configuration of the simulated box."""
 
     counts_per_force: float = 1_000_000
@@ -40,8 +40,6 @@ class BoxSettings:
     product: str = "Ethernet 6-Axis F/T Sensor"
     divisor: int = 35
     """The box sends 7000 / `divisor` records per second."""
-
-    __repr__ = call_repr
 
     def xml(self, bias: tuple[int, ...] = ()) -> bytes:
         """Return the content of the page `netftapi2.xml`, with the bias of the box if given."""
@@ -59,7 +57,7 @@ class BoxSettings:
 
 
 @dataclass
-class BoxFaults:
+class BoxFaults(CallRepr):
     """Faults that the simulated box shows from now on."""
 
     silent: bool = False
@@ -85,8 +83,6 @@ class BoxFaults:
 
     instead: list[bytes] = field(default_factory=list)
     """Datagrams that are sent before the next record."""
-
-    __repr__ = call_repr
 
 
 class NetFtBox:

@@ -14,7 +14,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
-from needleplan.artifacts import call_repr
+from needleplan.artifacts import CallRepr
 from needleplan.devices._base import Closing
 from needleplan.devices.igtl._tracker import PoseKind
 from needleplan.devices.igtl.contents import decode_start, encode_reply
@@ -50,7 +50,7 @@ class TrackedTool:
 
 
 @dataclass
-class PlusFaults:
+class PlusFaults(CallRepr):
     """Faults that the simulated server shows from now on."""
 
     damage: int = 0
@@ -86,11 +86,9 @@ class PlusFaults:
     timeless: bool = False
     """Whether messages are sent without a time."""
 
-    __repr__ = call_repr
-
 
 @dataclass
-class PlusDevice:
+class PlusDevice(CallRepr):
     """The simulated PLUS server. If `on_request`, it sends poses only after a request; if `refuse`, it denies requests.
 
     Like PLUS, the server sends messages with header version 1 until it receives a message with a higher version. Then
@@ -112,8 +110,6 @@ class PlusDevice:
     sent_version: int = 1
     _reader: MessageReader = field(default_factory=MessageReader)
     _last_s: float = 0.0
-
-    __repr__ = call_repr
 
     def frame(self, time_s: float) -> bytes:
         """Return the bytes of the frame at `time_s` (s since the start); b"" if no frame is sent."""

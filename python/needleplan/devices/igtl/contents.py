@@ -11,7 +11,7 @@ from math import prod
 import numpy as np
 import numpy.typing as npt
 
-from needleplan.artifacts import call_repr
+from needleplan.artifacts import CallRepr
 from needleplan.devices.igtl.messages import padded, text_of
 from needleplan.errors import InputError, Mistake, ProtocolError
 
@@ -99,7 +99,7 @@ class IgtlStatus:
 
 
 @dataclass(frozen=True)
-class Point:
+class Point(CallRepr):
     """A named point in mm; `colour` holds red, green, blue and opacity, each from 0 to 255."""
 
     name: str
@@ -109,17 +109,13 @@ class Point:
     diameter_mm: float = 0.0
     owner: str = ""
 
-    __repr__ = call_repr
-
 
 @dataclass(frozen=True)
-class Sensor:
+class Sensor(CallRepr):
     """Up to 255 readings in the same unit; `unit` may also be a 64-bit number that is not in `Unit`."""
 
     values: tuple[float, ...]
     unit: int = Unit.NONE
-
-    __repr__ = call_repr
 
 
 def encode_status(status: IgtlStatus) -> bytes:

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 
-from needleplan.artifacts import call_repr
+from needleplan.artifacts import CallRepr
 from needleplan.devices._base import PoseSample, PoseValidator, Stamp
 from needleplan.devices.igtl.messages import padded, text_of
 from needleplan.errors import DeviceFault, ProtocolError
@@ -42,7 +42,7 @@ _QTDATA = struct.Struct(">20sBx7f")
 
 
 @dataclass(frozen=True)
-class IgtlPose:
+class IgtlPose(CallRepr):
     """A pose with position (mm) and unit quaternion (w, x, y, z).
 
     `distortion` measures how much the received matrix or quaternion deviates from a rotation: 0 for an exact rotation,
@@ -54,8 +54,6 @@ class IgtlPose:
     quaternion: tuple[float, float, float, float] = (1.0, 0.0, 0.0, 0.0)
     distortion: float = 0.0
     oriented: bool = True
-
-    __repr__ = call_repr
 
 
 class ToolKind(IntEnum):
@@ -72,14 +70,12 @@ _KINDS = frozenset(map(int, ToolKind))
 
 
 @dataclass(frozen=True)
-class IgtlTool:
+class IgtlTool(CallRepr):
     """One tool in TDATA or QTDATA."""
 
     name: str
     pose: IgtlPose
     kind: ToolKind = ToolKind.SIX_DOF
-
-    __repr__ = call_repr
 
 
 def encode_transform(pose: IgtlPose) -> bytes:

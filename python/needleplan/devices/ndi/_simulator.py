@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
-from needleplan.artifacts import call_repr
+from needleplan.artifacts import CallRepr
 from needleplan.devices._clock import Clock, SystemClock
 from needleplan.devices.ndi.commands import BAUD_CODES, decode_command, encode_text
 from needleplan.devices.ndi.frames import Frames, NdiVisibility, ToolFrame, encode_bx, encode_tx
@@ -24,7 +24,7 @@ _LONGEST_COMMAND = 1024  # bytes without a carriage return after which the devic
 
 
 @dataclass
-class SimulatedTool:
+class SimulatedTool(CallRepr):
     """A simulated coil in a port; `pose` returns quaternion (w, x, y, z) and position (mm) at a time in s."""
 
     serial: str
@@ -38,8 +38,6 @@ class SimulatedTool:
     initialised: bool = False
     enabled: bool = False
 
-    __repr__ = call_repr
-
     @property
     def port_status(self) -> int:
         """Port status word: the bits for tool in port, initialised and enabled, and `port_bits`."""
@@ -47,7 +45,7 @@ class SimulatedTool:
 
 
 @dataclass
-class AuroraFaults:
+class AuroraFaults(CallRepr):
     """Faults that the simulated device shows from now on."""
 
     damage: int = 0
@@ -77,11 +75,9 @@ class AuroraFaults:
     ignore_speed: bool = False
     """Whether the device acknowledges COMM without changing its speed."""
 
-    __repr__ = call_repr
-
 
 @dataclass
-class AuroraDevice:
+class AuroraDevice(CallRepr):
     """The simulated Aurora with its tools; `commands` lists the received commands.
 
     Frame numbers come from the function `count`, or from `clock` and `rate_hz` if `count` is None.
@@ -99,8 +95,6 @@ class AuroraDevice:
     _input: bytearray = field(default_factory=bytearray)
     _began_ns: int = 0
     _frame: int = 0
-
-    __repr__ = call_repr
 
     def answer(self, data: bytes) -> bytes:
         """Receive bytes, and return the replies to all commands that are now complete; b"" if there are none."""
