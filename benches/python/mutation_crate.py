@@ -1,6 +1,6 @@
 """Measure which share of small changes (mutants) of the crate `rust/guard` its own tests find.
 
-python benches/python/mutation_crate.py --count 64 --seed 1 > benches/results/mutation_crate.md
+python benches/python/mutation_crate.py --count 120 --seed 1 > benches/results/mutation_crate.md
 
 Every operator, number and truth value of the code is a place for a mutant; `--count` of them are drawn with `--seed`. A
 mutant that does not compile is replaced by the next one that is drawn. A mutant is found if a test fails or takes more
