@@ -113,7 +113,7 @@ class SlowReading:
         self.permits = Semaphore(0)
         read = TableSetEntry.table
 
-        def table(entry: TableSetEntry) -> npl.PolicyTable | npl.SpaceTable:
+        def table(entry: TableSetEntry) -> npl.Table:
             self.begun.put(entry.values["curvature_radius_mm"])
             assert self.permits.acquire(timeout=30)
             return read(entry)

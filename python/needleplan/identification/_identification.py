@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
     from needleplan.models.deflection import FibreSensors
 
-__all__ = ["Finding", "Identification", "Trials", "averaged", "trials_by_role"]
+__all__ = ["Finding", "Identification", "Trials", "averaged", "trials_by_role", "undetermined"]
 
 
 @dataclass(frozen=True)
@@ -111,3 +111,13 @@ def averaged(samples: int) -> str:
     if samples == 1:
         return "assumed: the force sensor does not average"
     return f"assumed: the force sensor averages {samples} samples; if not, give its number with --average"
+
+
+def undetermined(estimates: Mapping[str, Estimate]) -> list[str]:
+    """Return a remark for each parameter that the data do not determine."""
+    return [
+        f"{name} is not identified: any value from {estimate.low:.3g} to {estimate.high:.3g} {estimate.unit}".rstrip()
+        + " fits"
+        for name, estimate in estimates.items()
+        if not estimate.identified
+    ]
