@@ -65,11 +65,12 @@ compiled:
 
 rust:
 	cargo fmt --all --check
-	$(CARGO) clippy --workspace --all-targets --all-features --locked -- -D warnings
-	$(CARGO) test --workspace --locked
+	$(CARGO) clippy --all-targets --all-features --locked -- -D warnings
+	$(CARGO) test --locked
 
 bounds:
-	$(CARGO) test --locked --workspace --test bounds -- --ignored
+	$(CARGO) test --locked --test bounds -- --ignored
+	$(CARGO) clippy --package needleplan-benches --all-targets --locked -- -D warnings
 
 static:
 	$(BIN)/ruff check .
@@ -98,7 +99,7 @@ msrv:
 	@if ! command -v rustup >/dev/null; then echo "msrv: skipped, rustup is missing"; \
 	elif ! rustup toolchain install $(MSRV) --profile minimal --no-self-update; then \
 	echo "msrv: skipped, Rust $(MSRV) cannot be fetched"; else \
-	rustup run $(MSRV) $(CARGO) check --workspace --locked --target-dir target/msrv && \
+	rustup run $(MSRV) $(CARGO) check --locked --target-dir target/msrv && \
 	rm -rf target/msrv/package && \
 	rustup run $(MSRV) $(CARGO) package --package ppvi --locked --allow-dirty --no-verify --target-dir target/msrv && \
 	folder=$$(mktemp -d) && tar -xzf target/msrv/package/ppvi-*.crate -C $$folder && \

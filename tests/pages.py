@@ -10,8 +10,6 @@
   registrations or drives.
 """
 
-from __future__ import annotations
-
 import contextlib
 import io
 import os

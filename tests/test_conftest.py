@@ -1,7 +1,5 @@
 """Tests restore signals that were ignored when they were started, and a failure is shown before the next test ends."""
 
-from __future__ import annotations
-
 import signal
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """The code of every page in docs is run, what it is said to print is compared, and every link leads somewhere."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import MISSING, Field, fields
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Messages are one line a mistake."""
 
-from __future__ import annotations
-
 import inspect
 
 import pytest

@@ -1,7 +1,5 @@
 """The folders that a lab copies: the commands of each README run, and the robot in C passes the tests of our own."""
 
-from __future__ import annotations
-
 import shutil
 import subprocess
 from collections.abc import Iterator

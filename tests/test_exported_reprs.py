@@ -3,8 +3,6 @@
 Those that a class writes itself are shown by real objects, in `test_reprs`.
 """
 
-from __future__ import annotations
-
 import enum
 import importlib
 import inspect
@@ -17,7 +15,7 @@ from typing import Any
 import numpy as np
 
 import needleplan as npl
-from needleplan.artifacts import MOST_CHARACTERS, call_repr, short_repr
+from needleplan.artifacts import MOST_CHARACTERS, CallRepr, short_repr
 
 # Classes nested in each other beyond which a field is None, so that a class may hold itself.
 DEEPEST = 4
@@ -37,7 +35,7 @@ def is_general(kind: Any) -> bool:
     if not is_dataclass(kind) or inspect.isabstract(kind):
         return False
     # Python wraps the repr that it makes for a dataclass.
-    return kind.__repr__ in (call_repr, short_repr) or hasattr(kind.__repr__, "__wrapped__")
+    return kind.__repr__ in (CallRepr.__repr__, short_repr) or hasattr(kind.__repr__, "__wrapped__")
 
 
 def exported() -> dict[str, type]:

@@ -1,7 +1,5 @@
 """The exports of the rooms: every callable with two or more arguments names its parameters, result and errors."""
 
-from __future__ import annotations
-
 import importlib
 import inspect
 import pkgutil

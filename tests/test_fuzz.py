@@ -1,7 +1,5 @@
 """The parsers under a fuzzer that is guided by coverage, for a bounded number of inputs; benches/ has the long runs."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from pathlib import Path

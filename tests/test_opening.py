@@ -1,7 +1,5 @@
 """`npl.open` reads every kind of file by its content, and refuses other files with one message."""
 
-from __future__ import annotations
-
 import json
 import re
 import shutil

@@ -1,7 +1,5 @@
 """The public interface: every public callable is documented in numpydoc sections and has an example."""
 
-from __future__ import annotations
-
 import enum
 import importlib
 import inspect

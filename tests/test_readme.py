@@ -3,8 +3,6 @@
 `reproduce` runs with `--quick`, and `make test` is what runs this.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import re

@@ -1,7 +1,5 @@
 """Every public object has a repr in one line, below 200 characters."""
 
-from __future__ import annotations
-
 import copy
 from collections import OrderedDict
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """The rules of the house for the Rust crates: one direction between crates, no cycle between files."""
 
-from __future__ import annotations
-
 import re
 import tomllib
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """The safety case names its evidence by test: each named test is there; other pages link to the case."""
 
-from __future__ import annotations
-
 import ast
 import re
 from pathlib import Path

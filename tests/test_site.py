@@ -1,7 +1,5 @@
 """The documentation site: it builds without warnings, has every page, and its links work without a network."""
 
-from __future__ import annotations
-
 import json
 import re
 import subprocess

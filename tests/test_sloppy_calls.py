@@ -1,7 +1,5 @@
 """Calls with wrong types, values, units and files: each raises a NeedleplanError with a short message."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -11,7 +9,7 @@ import pandas as pd
 import pytest
 
 import needleplan as npl
-from needleplan.signals import Motion
+from needleplan.signals import Motion, Record
 
 NAN, INF = float("nan"), float("inf")
 FRAME = pd.DataFrame({"time_s": [0.0, 1.0, 2.0], "depth_mm": [0.0, 1.0, 2.0], "force_n": [0.0, 0.1, NAN]})
@@ -57,6 +55,8 @@ def calls(table: npl.PolicyTable) -> dict[str, Callable[[], Any]]:
         "diagnose": lambda: npl.diagnose("model.toml", "data.csv"),
         "diagnose frame": lambda: npl.diagnose(FORCE, FRAME),
         "diagnose nothing": lambda: npl.diagnose(FORCE, []),
+        "record of nothing": lambda: Record(None),  # type: ignore[arg-type]
+        "record of texts": lambda: Record({"time_s": "now"}),  # type: ignore[dict-item]
         "diagnose other": lambda: npl.diagnose({}, {}),
         "model": lambda: npl.models.Bicycle(curvature_per_mm="0.01"),  # type: ignore[arg-type]
         "simulate": lambda: npl.models.simulate(FORCE, FRAME),

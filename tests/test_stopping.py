@@ -1,7 +1,5 @@
 """When a stopped needle rests: by its samples alone."""
 
-from __future__ import annotations
-
 import math
 from itertools import pairwise
 

@@ -13,8 +13,6 @@ predict there, and at the best entry of the plan that knew. Success: the tip end
 the plane, and neither touches an obstacle nor leaves the workspace.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import math

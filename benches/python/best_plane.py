@@ -8,8 +8,6 @@ same tip noise in 3D and perfect sensors; the loop of the plane brings the tip b
 succeeds if the true tip ends in the target, and its path is free in the voxels of the lattice.
 """
 
-from __future__ import annotations
-
 import argparse
 import sys
 import tempfile

@@ -7,8 +7,6 @@ The anatomy is the box of the tests of insertions. Breathing moves all tissue, n
 entry, and dwells at exhalation. An insertion has the same tip noise in every row; its breath has its own phase.
 """
 
-from __future__ import annotations
-
 import argparse
 import sys
 import time

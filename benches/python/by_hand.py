@@ -1,7 +1,5 @@
 """Baseline that an experienced user would write: value iteration in numba, on the same compressed sparse rows."""
 
-from __future__ import annotations
-
 import numba
 import numpy as np
 from contest import Answer, Prepare, Solve

@@ -9,8 +9,6 @@ same seed, all kinds of
 guidance get the same lab.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import sys

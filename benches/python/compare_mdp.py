@@ -9,8 +9,6 @@ after one that is not timed; the build is separate.
     python benches/python/compare_mdp.py --only forest
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import subprocess

@@ -9,8 +9,6 @@ process of its own, one after another. Its values are compared with reference va
     python benches/python/compare_peers.py --only lattice-1 quantecon-mpi
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import sys

@@ -12,8 +12,6 @@ exact arcs. Executions with noise are those of rrt_execute.py. rrt_reach.py trie
 on all its grids for the scenes that nobody solves, on the coarsest one for the others, where it must fail.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import subprocess

@@ -1,7 +1,5 @@
 """All contestants of `compare_peers.py`, in the order of its table."""
 
-from __future__ import annotations
-
 import ours
 import peers
 from contest import Contestant, Prepare, Solve, serve

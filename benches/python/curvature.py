@@ -7,8 +7,6 @@ python benches/python/curvature.py --trials 20          # short test run
 exp(-distance / length); and smooth, as exp(-(distance / length)^2 / 2). Every row of the table has its own seed.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 from collections.abc import Callable

@@ -8,8 +8,6 @@ of 2 s of processor time. For HDF5 data, this process stands for the child proce
 there, "crash" and "too slow" become a refusal. A table that crashes is tried again as the program does it, isolated.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import os

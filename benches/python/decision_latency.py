@@ -8,8 +8,6 @@ the loopback. The control loop is that of `needleplan insert`, with guard, readi
 robot status at 1,000 Hz, forces at 200 Hz and poses at 40 Hz, in real time, read by the clients of the devices.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import os

@@ -1,10 +1,8 @@
 """Measure the computing time of needle deflection: one shape, many at once, an insertion, a step of the path law.
 
-python benches/python/deflection.py --json deflection.json
-python benches/python/deflection.py --insertions 200            # short test run
+PYTHONPATH=. python benches/python/deflection.py --json deflection.json
+PYTHONPATH=. python benches/python/deflection.py --insertions 200            # short test run
 """
-
-from __future__ import annotations
 
 import argparse
 import json
@@ -25,10 +23,10 @@ from needleplan.models.deflection import (
     FreePath,
     march,
     solve_elements,
-    solve_exact,
     tip_path_mm,
 )
 from needleplan.signals import Motion, Record
+from tests.reference.exact_beam import solve_exact
 
 NEEDLE = NeedleShaft(0.718, 0.413, 203.0, math.radians(24.8))
 TISSUE = ElasticTissue(3.87e-3, 123.9e-6)

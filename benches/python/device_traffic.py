@@ -1,7 +1,5 @@
 """Minutes of traffic of the three devices in real time: losses, ages, memory, handles, threads, and machine pauses."""
 
-from __future__ import annotations
-
 import multiprocessing
 import resource
 import threading

@@ -9,8 +9,6 @@ name, 0 for a wrong name or a crash. The chance of the difference is that of a f
 that changes (two-sided sign test).
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 from collections.abc import Callable, Iterator

@@ -1,7 +1,5 @@
 """Counts of right and wrong answers of the diagnosis with their bounds, and the digest of the engine that gave them."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Data sets of all generators in one form, and the outcome of the diagnosis of one of them."""
 
-from __future__ import annotations
-
 import math
 import random
 from collections.abc import Callable, Iterator, Mapping, Sequence

@@ -8,8 +8,6 @@ noncentrality of at least 60. A repeated command continues the file. `--compare`
 each set whose outcome differs.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import sys

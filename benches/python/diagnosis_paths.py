@@ -8,8 +8,6 @@ effect that others imitate. Motions and noise are those of `tests/diagnosis/tip_
 between trials by up to 3 %.
 """
 
-from __future__ import annotations
-
 import argparse
 import time
 from collections.abc import Iterator

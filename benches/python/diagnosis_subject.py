@@ -1,7 +1,5 @@
 """Subjects of the benches: channel, base model, blind campaign, and names in the library and in the blind data."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum

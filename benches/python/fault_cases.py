@@ -1,7 +1,5 @@
 """The faults that `fault_proxy.py` provokes from outside: in the relays, by foreign clients, and at the processes."""
 
-from __future__ import annotations
-
 import contextlib
 import math
 import os

@@ -1,7 +1,5 @@
 """Filters for the relays of `fault_proxy.py`: they delay, drop, damage, replay and forge what devices send."""
 
-from __future__ import annotations
-
 import random
 import time
 from collections.abc import Callable

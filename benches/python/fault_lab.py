@@ -1,7 +1,5 @@
 """The simulated devices of `fault_to_stop.py`, in a process of their own on real sockets, and their faults."""
 
-from __future__ import annotations
-
 import contextlib
 import math
 import os

@@ -10,8 +10,6 @@ the cause, who stopped the needle and when, and what the recording contains. The
 another state or with another cause than it should.
 """
 
-from __future__ import annotations
-
 import argparse
 import math
 import sys

@@ -4,8 +4,6 @@ A relay passes everything that it receives to a filter of its direction. A filte
 a delay (s) and bytes. One thread serves all relays, so that filters need no locks.
 """
 
-from __future__ import annotations
-
 import contextlib
 import heapq
 import itertools

@@ -1,7 +1,5 @@
 """One insertion through the proxy: the lab, the relays, the process of `needleplan insert`, and what becomes of it."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import math

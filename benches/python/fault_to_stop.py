@@ -8,8 +8,6 @@ reads the devices in threads and commands the robot through the guard, as `needl
 ends when the stop datagram arrives at the robot, or when the robot stops by itself if that is earlier.
 """
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import json

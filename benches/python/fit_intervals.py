@@ -11,8 +11,6 @@ are not identified; a column has the identified ones alone. `kernel` is the esti
 lags.
 """
 
-from __future__ import annotations
-
 import argparse
 import itertools
 import json

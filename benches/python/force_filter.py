@@ -4,8 +4,6 @@ python benches/python/force_filter.py --factors 6 3 --json force_filter.json > f
 python benches/python/force_filter.py --sets 1 --every 8       # short test run
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import sys

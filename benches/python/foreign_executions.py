@@ -18,8 +18,6 @@ After that, the program executes from the same poses (`PolicyTable.rollout`). Th
 in the same continuous model, so their difference contains no error of a grid: only chance is left if both are right.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import math

@@ -3,8 +3,6 @@
 python benches/python/friction.py --json friction.json
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import sys

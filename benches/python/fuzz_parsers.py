@@ -88,11 +88,8 @@ _CONTENTS: dict[bytes, Callable[[bytes], object]] = {
     b"POSITION": poses.decode_position,
     b"TDATA": poses.decode_tdata,
     b"QTDATA": poses.decode_qtdata,
-    b"STATUS": contents.decode_status,
-    b"STRING": contents.decode_string,
+    b"NDARRAY": contents.decode_array,
     b"POINT": contents.decode_points,
-    b"POLYDATA": contents.decode_polyline,
-    b"SENSOR": contents.decode_sensor,
     b"STT_TDATA": contents.decode_start,
     b"RTS_TDATA": contents.decode_reply,
 }
@@ -100,7 +97,7 @@ _CONTENTS: dict[bytes, Callable[[bytes], object]] = {
 
 def igtl(data: bytes) -> None:
     """Check a stream of noise and a message with a correct checksum: its content is decoded or raises ProtocolError."""
-    kind = list(_CONTENTS)[data[0] % len(_CONTENTS)] if data else b"STRING"
+    kind = list(_CONTENTS)[data[0] % len(_CONTENTS)] if data else b"POINT"
     body, noise = data[2:], data[:2]
     version = 1 + (data[1] & 1 if len(data) > 1 else 0)
     header = struct.pack(">H12s20sQQQ", version, kind, b"Needle", 0, len(body), crc64(body))

@@ -8,8 +8,6 @@ squared amplitude in standard deviations that is left. Scales of the tolerances 
 engine chose beside the hidden effect. Without an answer of the engine, the information says what its model can see.
 """
 
-from __future__ import annotations
-
 import argparse
 import math
 from collections.abc import Sequence

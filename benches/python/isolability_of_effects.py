@@ -7,8 +7,6 @@ out at one speed). Printed are shares of the squared sensitivity, with the base 
 effect of the library imitates the further effect, and the other way round.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from diagnosis_subject import SUBJECTS, SubjectName, records
 

@@ -13,8 +13,6 @@ the bound, as a caller would do. The first N clipped and the first N other start
 start is clipped. Recovered: the mean absolute error of the open loop is below 10 mN.
 """
 
-from __future__ import annotations
-
 import argparse
 import math
 from collections.abc import Iterator

@@ -14,8 +14,6 @@ folds of alternate blocks of 1 and 2 mm had been looked at before. Model I: in o
 model lies within held-out blocks, hence the large error.
 """
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Callable
 
@@ -25,7 +23,7 @@ from needleplan.identification._relaxing_force import fit_members
 from needleplan.identification.force import fit_force
 from needleplan.models import Model, simulate
 from needleplan.models.force import ForceModel1
-from needleplan.recording import read_depth_force
+from needleplan.recording import read_records
 from needleplan.signals import Array, MovingAverage, Record
 
 FOLDS = 4
@@ -69,7 +67,7 @@ def table(record: Record, fold: Array, families: list[Callable[[Record, Array], 
 
 def main() -> int:
     """Print both tables."""
-    record = read_depth_force(sys.argv[1], SPEED_MM_S)
+    (record,) = read_records(sys.argv[1], columns=f"depth=1[m], force=2[N], speed={SPEED_MM_S:g}[mm/s]")
     print("# Force into bovine liver\n\n" + (__doc__ or "").split("\n\n", 2)[2])
     before = record.select(record["depth_mm"] < BEFORE_MM)
     print(f"\n## Up to the first puncture ({BEFORE_MM:g} mm, {len(before)} samples)\n")

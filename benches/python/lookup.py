@@ -4,8 +4,6 @@ python benches/python/lookup.py --json lookup.json
 python benches/python/lookup.py --spacing 4            # short test run
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import subprocess

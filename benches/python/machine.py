@@ -1,7 +1,5 @@
 """Machine, software versions and commit of a measurement."""
 
-from __future__ import annotations
-
 import os
 import platform
 import subprocess

@@ -1,7 +1,5 @@
 """Fifteen sparse MDPs from the documents of other solvers and from the field, for `compare_mdp.py`."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 

@@ -10,8 +10,6 @@ once more alone, so that a busy machine kills no mutant. Type annotations and de
 only the surviving mutants of the JSON file run again.
 """
 
-from __future__ import annotations
-
 import argparse
 import importlib
 import json

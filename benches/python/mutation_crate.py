@@ -1,6 +1,6 @@
 """Measure which share of small changes (mutants) of the crate `rust/guard` its own tests find.
 
-python benches/python/mutation_crate.py --count 64 --seed 1 > benches/results/mutation_crate.md
+python benches/python/mutation_crate.py --count 120 --seed 1 > benches/results/mutation_crate.md
 
 Every operator, number and truth value of the code is a place for a mutant; `--count` of them are drawn with `--seed`. A
 mutant that does not compile is replaced by the next one that is drawn. A mutant is found if a test fails or takes more
@@ -15,6 +15,7 @@ import os
 import random
 import re
 import shutil
+import signal
 import subprocess
 import sys
 import tempfile
@@ -85,12 +86,18 @@ def verdict(mutant: Mutant, copy: Path, timeout_s: float) -> str:
         built = subprocess.run([*cargo, "--no-run"], env=environment, capture_output=True, check=False, timeout=600)
         if built.returncode:
             return "does not compile"
-        tested = subprocess.run(cargo, env=environment, capture_output=True, check=False, timeout=timeout_s)
+        quiet = subprocess.DEVNULL
+        tests = subprocess.Popen(cargo, env=environment, stdout=quiet, stderr=quiet, start_new_session=True)
+        try:
+            return "found" if tests.wait(timeout_s) else "survived"
+        except subprocess.TimeoutExpired:
+            os.killpg(tests.pid, signal.SIGKILL)  # cargo and the test that does not end
+            tests.wait()
+            return "found"
     except subprocess.TimeoutExpired:
         return "found"
     finally:
         file.write_text(original)
-    return "found" if tested.returncode else "survived"
 
 
 def main() -> None:

@@ -11,8 +11,6 @@ insertions with the true scatter); "error" is the mean 3D error over that of the
 With --paths, the end of the last insertion is predicted by `predict_end` after a half of its measured path.
 """
 
-from __future__ import annotations
-
 import argparse
 import itertools
 

@@ -12,8 +12,6 @@ not hidden. Outcomes are appended to build/next_motion_PURPOSE.jsonl; those of o
 benches/results/next_motion.json and .md for both channels; with seeds for tuning, build/next_motion.json and .md.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 from collections import Counter

@@ -1,7 +1,5 @@
 """Blind data in which effects look alike, for both channels, and further trials in the same tissue."""
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """The solvers of needleplan, as contestants."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import partial
 from typing import Any

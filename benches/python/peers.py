@@ -4,8 +4,6 @@ Each gets its preferred input format, good options, and the equivalent of the th
 (1 - discount) * tolerance). Most of them maximise rewards, so their costs are negated.
 """
 
-from __future__ import annotations
-
 from itertools import pairwise
 from typing import Any
 

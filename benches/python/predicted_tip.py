@@ -9,8 +9,6 @@ more insertion, without the noise of the tracker. The region does not use the no
 noise is used.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 from collections.abc import Callable

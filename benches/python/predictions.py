@@ -8,8 +8,6 @@ heading. Nothing lies on the grid. A pose counts if its success is in doubt or l
 of 200 other executions succeeds. All others are hopeless, where prediction and execution agree trivially.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import math

@@ -8,8 +8,6 @@ that each wrong name is an error of the fits or of the means over sample interva
 tests/diagnosis/test_quiet_sensor.py.
 """
 
-from __future__ import annotations
-
 import argparse
 import time
 

@@ -9,8 +9,6 @@ seeing these data: noise from their description (0.3 mm that drifts over 10 s) g
 path, where the defaults give 0.26.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 from collections.abc import Iterator, Sequence
@@ -20,7 +18,7 @@ import numpy as np
 from real_insertions import SKIP_MM, TISSUES
 
 from needleplan.identification import PredictedEnd, predict_end
-from needleplan.recording import read_stepwise_insertion
+from needleplan.recording import read_records
 from needleplan.signals import Record
 
 # Shares of the depth at which the end is predicted.
@@ -55,7 +53,7 @@ def main() -> int:
     parser.add_argument("--json", type=Path, metavar="FILE")
     options = parser.parse_args()
     trials = {
-        tissue: [read_stepwise_insertion(path) for path in sorted(options.folder.glob(f"{tissue}_openloop_*.csv"))]
+        tissue: [read_records(path)[0] for path in sorted(options.folder.glob(f"{tissue}_openloop_*.csv"))]
         for tissue in TISSUES
     }
     record = {}

@@ -9,8 +9,6 @@ the measured tip at the depth that all insertions of the tissue reach, in the pl
 tip is the median of the samples within 1 mm of this depth.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 from collections.abc import Callable, Sequence
@@ -21,7 +19,7 @@ import numpy as np
 
 from needleplan.identification import curvature, deflection
 from needleplan.models import simulate
-from needleplan.recording import read_stepwise_insertion
+from needleplan.recording import read_records
 from needleplan.signals import Motion, Record, Role
 
 TISSUES = ("phantomA", "phantomB", "phantomC", "exvivo")
@@ -101,7 +99,7 @@ def main() -> int:
     parser.add_argument("--json", type=Path, metavar="FILE")
     options = parser.parse_args()
     trials = {
-        each: [read_stepwise_insertion(path) for path in sorted(options.folder.glob(f"{each}_openloop_*.csv"))]
+        each: [read_records(path)[0] for path in sorted(options.folder.glob(f"{each}_openloop_*.csv"))]
         for each in TISSUES
     }
     print("Mean distance between predicted and measured tip, leave one insertion out.\n")

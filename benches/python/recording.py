@@ -4,8 +4,6 @@ python benches/python/recording.py --json benches/results/recording.json > bench
 python benches/python/recording.py --seconds 20 --kills 3       # short test run
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import os

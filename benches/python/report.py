@@ -1,7 +1,5 @@
 """The report of `compare_peers.py`, in Markdown."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

@@ -10,8 +10,6 @@ copies of 128 kB (second cache) and of 64 MB (memory), and products of 1024 x 10
 OPENBLAS_NUM_THREADS=1.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from time import process_time

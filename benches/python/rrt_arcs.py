@@ -4,8 +4,6 @@ Intersections of circles with segments and with a circle are solved in closed fo
 simulation of its own and uses nothing of needleplan.
 """
 
-from __future__ import annotations
-
 from enum import IntEnum
 
 import numpy as np

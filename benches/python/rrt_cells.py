@@ -5,8 +5,6 @@ heading is a Python integer: cell (i, j) is bit i * stride + j. A displacement i
 between two rows receive what leaves the workspace along y.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cache, cached_property
 from itertools import pairwise

@@ -5,8 +5,6 @@ All of them have the same noise: after every `step_mm` of insertion the heading 
 poses to bevels.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 

@@ -9,8 +9,6 @@ The state is the pose. The control is the bevel, constant for 1 to 20 mm, in ste
 is tested exactly. The tree keeps the state after every step.
 """
 
-from __future__ import annotations
-
 import json
 import math
 import os

@@ -14,8 +14,6 @@ fine grid visits those cells of the coarse grid that contain them. If no cell is
 left on the finest grid, the question is open.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 from rrt_cells import Cells, Grid, grid

@@ -1,7 +1,5 @@
 """The report and the figure of `compare_planners.py`."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from statistics import mean, median

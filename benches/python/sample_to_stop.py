@@ -1,7 +1,5 @@
 """Print the lines of `stop_latency.py --samples` about one way of the datagrams: `sample_to_stop.py WAY SECONDS`."""
 
-from __future__ import annotations
-
 import sys
 
 from needleplan.control.realtime import measure_promptness

@@ -7,8 +7,6 @@ transitions. Each grid runs in its own process, so that its peak memory is measu
     python benches/python/scaling.py --spacings 4 2                                    # short test run
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import resource

@@ -8,8 +8,6 @@ Hz, poses at 40 Hz, images at 20 Hz. "Estimate": the tip after a sample of each 
 of 200 mm in two layers with a curvature and a twist at the entry.
 """
 
-from __future__ import annotations
-
 import argparse
 import math
 from collections import defaultdict

@@ -8,8 +8,6 @@ entry of the highest success without an error of it. In all labs, an insertion h
 its own.
 """
 
-from __future__ import annotations
-
 import argparse
 import sys
 import tempfile

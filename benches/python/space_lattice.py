@@ -7,8 +7,6 @@ success below 2 % are left out. Each lattice then has a table of its own, and th
 continuous model.
 """
 
-from __future__ import annotations
-
 import argparse
 import re
 import tempfile

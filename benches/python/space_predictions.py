@@ -7,8 +7,6 @@ Two invented volumes of 80 x 48 x 48 mm with round obstacles and a target of 3 m
 a noise of 4 degrees a step of 8 mm, eight roll angles and a straight step, directions 4 degrees apart.
 """
 
-from __future__ import annotations
-
 import argparse
 import math
 from typing import Any

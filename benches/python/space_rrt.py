@@ -14,8 +14,6 @@ Its propagation is called from OMPL and written in Python, so its times are thos
 propagations says how long a compiled one takes.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import math

@@ -6,8 +6,6 @@ start; what it meets is the voxel at its end. The noise turns the tip after ever
 planners.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Random starts of 3D insertions."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

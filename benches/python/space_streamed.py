@@ -12,8 +12,6 @@ the digests are compared. `memory` is the largest anonymous resident memory of t
 mapped parts of files, which the system can drop at any time, are not counted.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import os

@@ -15,8 +15,6 @@ code with the planner, `tests/blind/voxel_tracer.py`: the path, in RAS, meets th
 with the diameter and the margin of the file, touches a voxel of an obstacle. Every entry has seeds of its own.
 """
 
-from __future__ import annotations
-
 import argparse
 import itertools
 import json

@@ -1,7 +1,5 @@
 """The report of space_truth.py, from its JSON file: `python benches/python/space_truth_report.py FILE.json`."""
 
-from __future__ import annotations
-
 import json
 import sys
 from pathlib import Path

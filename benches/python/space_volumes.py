@@ -6,8 +6,6 @@ Stops at the first plan that is wrong: a closed way that is passed, an execution
 ends beside the target, an open way that is called impossible.
 """
 
-from __future__ import annotations
-
 import argparse
 import sys
 import tempfile

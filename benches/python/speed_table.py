@@ -8,8 +8,6 @@ The problem is `four_obstacles_thesis` (1,176,120 states), with other costs and 
 is of times from this run. The first figure is taken once more at the end, to show whether the machine kept its speed.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import os

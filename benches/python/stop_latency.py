@@ -16,8 +16,6 @@ socket belongs to Python there, as the time is taken in its link.
 beside two busy Python threads and `--busy` processes: with the socket in Python, and with the supervisor's threads.
 """
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import json

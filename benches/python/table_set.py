@@ -9,8 +9,6 @@ distributed: t_central a table. With n workers, a run of N tables of t_worker ea
 max(N t_worker / n, N t_central).
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import sys

@@ -8,8 +8,6 @@ their bytes, at 5 mm/s. Counted from the request for a new plan: the time to the
 by it.
 """
 
-from __future__ import annotations
-
 import argparse
 import statistics
 import subprocess

@@ -11,8 +11,6 @@ noise, constant errors of 1e-4 1/mm. Images in the plane of the plan: 1 mm of wh
 0.3 N. An error is that to the moved target, and a success is a tip within the given radius of it.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import math

@@ -8,8 +8,6 @@ turn at 15 mm. Tracker: 0.2 mm and 10 mrad of white noise. Sensors: gauge of 5 m
 constant errors of 1e-4 1/mm. The heading has a random walk of 2 mrad per root mm. Both filters see the same samples.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import math

@@ -8,8 +8,6 @@ mm. The coil is 9.3 mm behind the tip. The tracker has 0.2 mm and 10 mrad of whi
 of 2 mrad per root mm. "Line" is the usual estimate: the tip on the axis of the coil, 9.3 mm ahead.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import math

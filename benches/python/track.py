@@ -7,8 +7,6 @@ Times are medians in seconds. Each run is compared with the first run on the sam
 (`benches/guard`) do not depend on the load of the machine, but on compiler and processor.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import os
@@ -76,7 +74,7 @@ def criterion(quick: bool) -> dict[str, float]:
     began = time()
     chosen = [word for name in BENCHES for word in ("--bench", name)]
     pace = ("--quick",) if quick else ("--warm-up-time", "1", "--measurement-time", "3")
-    output("cargo", "bench", "--locked", "-p", "needle", *chosen, "--", *pace)
+    output("cargo", "bench", "--locked", "-p", "needleplan-benches", *chosen, "--", *pace)
     figures = {}
     target = Path(os.environ.get("CARGO_TARGET_DIR", ROOT / "target"))
     for estimates in sorted(target.glob("criterion/**/new/estimates.json")):

@@ -10,8 +10,6 @@ Counted are the 95 % intervals that hold the truth, of the joint fit alone, and 
 The fits start at the truth, so that a local optimum does not count as a wrong interval.
 """
 
-from __future__ import annotations
-
 import argparse
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

@@ -11,8 +11,6 @@ and Laird and the variance of Hartung and Knapp, with and without the factor of 
 The second part simulates and identifies whole insertions: `identify curvature`, `deflection` and `shaft-and-tip`.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 from collections.abc import Callable, Iterator

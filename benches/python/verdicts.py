@@ -1,7 +1,5 @@
 """The claims of `compare_peers.py`, checked with its measured values."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 

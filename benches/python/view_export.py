@@ -7,8 +7,6 @@ The anatomies are those of `needleplan new --seed 3`. Processor times count all 
 them little; two free processors need about half of them.
 """
 
-from __future__ import annotations
-
 import argparse
 import sys
 import tempfile

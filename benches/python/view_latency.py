@@ -6,8 +6,6 @@ A browser drags a handle in a circle, 40 moves a second, of a plan with 1.18 mil
 from a move to the frame that first shows its path; moves that a newer one has replaced are not painted and not counted.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import math

@@ -30,6 +30,7 @@ enum { DEPTH, ROLL, AXES };
 
 typedef struct {
     double position, speed, target; /* mm or rad; the speed is 0 at rest */
+    double stood, silent;           /* position where the axis was last seen standing, and where the silence began */
     npl_range range;
 } axis_t;
 
@@ -43,6 +44,7 @@ typedef struct {
 /* Limits of this robot: no session has wider ones. */
 static const double MOST[AXES] = {150.0, 200.0}, FASTEST[AXES] = {20.0, 15.0}, TOLERANCE[AXES] = {0.5, 0.2};
 static const double LEAST_MM = -20.0;
+static const double STILL[AXES] = {0.01, 0.002}, LEFT[AXES] = {0.1, 0.02}; /* motion after a stop, and in silence */
 static const uint32_t SHORTEST_US = 5000;
 
 static axis_t axis[AXES];
@@ -53,6 +55,7 @@ static uint32_t session, sequence_in, number_in, accepted, statuses, answers, si
 static uint32_t ended[ENDED], ended_count;
 static uint64_t heard_ns, echo_ns, echo_in_ns, nonce, moved_ns, line_due_ns;
 static uint8_t state = NPL_STATE_DISABLED, homed = 1;
+static int is_stopped;                /* a stop was ordered, and no motion since */
 static npl_answer last;               /* the answer to number_in */
 static const char *key;
 
@@ -67,8 +70,6 @@ static void axis_stop(axis_t *own) { own->speed = 0; }
 
 static void axis_tick(axis_t *own, double seconds) {
     double left = own->target - own->position, most = fabs(own->speed) * seconds;
-    if (own->speed == 0)
-        return;
     own->position += fabs(left) <= most ? left : copysign(most, left);
     if (own->position == own->target)
         own->speed = 0;
@@ -79,6 +80,7 @@ static int is_moving(void) { return axis[DEPTH].speed != 0 || axis[ROLL].speed !
 static void stop(uint32_t fault) {
     for (int which = 0; which < AXES; ++which)
         axis_stop(&axis[which]);
+    is_stopped = 1;
     if (fault) {
         faults |= fault;
         state = NPL_STATE_FAULT;
@@ -175,7 +177,6 @@ static void send_status(peer_t to, npl_head head, uint8_t version, uint64_t now)
 static double limit(double asked, double own) { return asked == 0 ? own : asked > 0 && asked <= own ? asked : -1; }
 
 static uint16_t hello(npl_hello asked, peer_t from) {
-    int given = asked.least_mm != 0 || asked.most_mm != 0;
     if (session)
         return asked.head.session == session && is_same(from, controller) ? NPL_RESULT_ACCEPTED : NPL_RESULT_BUSY;
     if (asked.head.session == 0)
@@ -183,7 +184,7 @@ static uint16_t hello(npl_hello asked, peer_t from) {
     for (int at = 0; at < ENDED; ++at)
         if (asked.head.session == ended[at])
             return NPL_RESULT_OLD_SESSION;
-    if (!given)
+    if (asked.least_mm == 0 && asked.most_mm == 0)
         asked.least_mm = LEAST_MM, asked.most_mm = MOST[DEPTH];
     if (!isfinite(asked.least_mm + asked.most_mm + asked.speed_mm_s + asked.roll_rad + asked.rotation_rad_s))
         return NPL_RESULT_OUT_OF_RANGE;
@@ -219,6 +220,7 @@ static uint16_t move(axis_t *own, const npl_command *command, double least, doub
         return which == DEPTH ? NPL_RESULT_SPEED_BEYOND : NPL_RESULT_ROTATION_BEYOND;
     own->target = command->target;
     own->speed = command->target == own->position ? 0 : command->speed;
+    is_stopped = 0;
     return NPL_RESULT_ACCEPTED;
 }
 
@@ -250,8 +252,6 @@ static uint16_t execute(const npl_command *command, uint64_t now) {
         homed = 1;
     else if (kind == NPL_ENABLE)
         state = NPL_STATE_ENABLED;
-    else if (!motion)
-        return NPL_RESULT_OUT_OF_RANGE;
     else if (state != NPL_STATE_ENABLED)
         return NPL_RESULT_NOT_ENABLED;
     else if (kind == NPL_INSERT)
@@ -267,18 +267,14 @@ static void receive(const uint8_t *datagram, size_t size, peer_t from, uint64_t 
     uint8_t kind = size > 5 ? datagram[5] : 0;
     size_t usual = kind == NPL_HELLO ? sizeof(npl_hello) : sizeof command;
     int wrong = npl_check(datagram, size, kind, size == usual + NPL_TAG ? size : usual);
-    if (kind & 0x80 || (wrong && wrong != 2) || size < sizeof(npl_head))
+    if (kind & 0x80 || (wrong ? wrong != 2 : kind < NPL_HELLO || kind > NPL_UNHOME) || size < sizeof(npl_head))
         return;
-    if (!wrong && (kind < NPL_HELLO || kind > NPL_UNHOME))
-        return;
+    memcpy(&command, datagram, sizeof command);
     if (wrong) {
-        npl_head head;
-        memcpy(&head, datagram, sizeof head);
-        answer = answer_to(&head, now, NPL_RESULT_WRONG_VERSION);
+        answer = answer_to(&command.head, now, NPL_RESULT_WRONG_VERSION);
         send_to(from, &answer, sizeof answer);
         return;
     }
-    memcpy(&command, datagram, sizeof command);
     int stops_for_any = kind == NPL_STOP && command.head.session == 0;
     if (key && !stops_for_any && !is_authentic(datagram, size, kind)) {
         answer = answer_to(&command.head, now, NPL_RESULT_NOT_AUTHENTIC);
@@ -288,10 +284,10 @@ static void receive(const uint8_t *datagram, size_t size, peer_t from, uint64_t 
     if (kind == NPL_HELLO) {
         npl_hello asked;
         memcpy(&asked, datagram, sizeof asked);
-        uint16_t result = hello(asked, from);
-        if (result == NPL_RESULT_ACCEPTED)
-            heard_ns = echo_in_ns = now, echo_ns = asked.head.sent_ns;
-        last = answer = answer_to(&asked.head, now, result);
+        int is_free = session == 0;
+        answer = answer_to(&asked.head, now, hello(asked, from));
+        if (is_free && session) /* only the first HELLO of a session is a sign of life */
+            heard_ns = echo_in_ns = now, echo_ns = asked.head.sent_ns, last = answer;
         send_to(from, &answer, sizeof answer);
         return;
     }
@@ -313,14 +309,15 @@ static void receive(const uint8_t *datagram, size_t size, peer_t from, uint64_t 
         send_to(from, &answer, sizeof answer);
         return;
     }
-    if ((int32_t)(command.head.sequence - sequence_in) <= 0)
-        return;
-    missed += command.head.sequence - sequence_in - 1;
-    sequence_in = command.head.sequence;
-    echo_ns = command.head.sent_ns;
-    echo_in_ns = now;
-    /* A late datagram is no sign of life; nor is a STOP while an axis moves. */
-    if ((command.deadline_ns >= now || kind == NPL_GOODBYE) || (kind == NPL_STOP && !is_moving())) {
+    int is_newer = (int32_t)(command.head.sequence - sequence_in) > 0; /* else another datagram has overtaken it */
+    if (is_newer) {
+        missed += command.head.sequence - sequence_in - 1;
+        sequence_in = command.head.sequence;
+        echo_ns = command.head.sent_ns;
+        echo_in_ns = now;
+    }
+    /* A late or overtaken datagram is no sign of life; nor is a STOP while an axis moves. */
+    if (is_newer && (kind == NPL_STOP ? !is_moving() : kind == NPL_GOODBYE || command.deadline_ns >= now)) {
         heard_ns = now;
         if (command.silence_us >= SHORTEST_US && command.silence_us <= LONGEST_US)
             silence_us = command.silence_us;
@@ -344,14 +341,22 @@ static void receive(const uint8_t *datagram, size_t size, peer_t from, uint64_t 
 }
 
 static void tick(double seconds, uint64_t now) {
-    if (is_moving())
-        moved_ns = now;
+    int is_silent = session && now - heard_ns > silence_us * 1000ull, is_left = is_silent && is_moving();
     for (int which = 0; which < AXES; ++which) {
-        axis_tick(&axis[which], seconds);
-        if (npl_range_beyond(&axis[which].range, axis[which].position, TOLERANCE[which]))
+        axis_t *own = &axis[which];
+        axis_tick(own, seconds);
+        int moves = fabs(own->position - own->stood) > STILL[which];
+        if (moves)
+            moved_ns = now, own->stood = own->position;
+        if (is_stopped && (moves || own->speed != 0))
+            axis_stop(own); /* again: a drive may have missed the stop */
+        if (!is_silent)
+            own->silent = own->position;
+        is_left |= fabs(own->position - own->silent) > LEFT[which];
+        if (npl_range_beyond(&own->range, own->position, TOLERANCE[which]))
             stop(NPL_FAULT_BEYOND);
     }
-    if (session && is_moving() && now - heard_ns > silence_us * 1000ull)
+    if (is_left && state == NPL_STATE_ENABLED)
         stop(NPL_FAULT_WATCHDOG);
     if (session && now - heard_ns > RELEASE_MS * MS)
         end_session();
@@ -366,8 +371,8 @@ static void tick(double seconds, uint64_t now) {
             return;
     }
     if (session) {
-        npl_head head = {.session = session, .sequence = ++statuses, .echo_ns = echo_ns, .number = accepted};
-        head.held_us = (uint32_t)((now - echo_in_ns) / 1000);
+        npl_head head = {.session = session, .sequence = ++statuses, .echo_ns = echo_ns,
+                         .held_us = (uint32_t)((now - echo_in_ns) / 1000), .number = accepted};
         send_status(controller, head, limits.head.version, now);
     }
 }

@@ -29,7 +29,9 @@ Python's own exceptions, such as TypeError.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import os
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 
 __all__ = [
@@ -54,6 +56,7 @@ __all__ = [
     "SimulationError",
     "SweepError",
     "TableError",
+    "reading",
 ]
 
 # Largest number of characters of a wrong value in a message; a longer value is cut off and ends in "…".
@@ -209,3 +212,29 @@ class OutputError(InputError):
 
 class MissingLibraryError(InputError, ImportError):
     """A library that a part of needleplan needs is not installed; the message names the extra that installs it."""
+
+
+@contextmanager
+def reading(path: str | os.PathLike[str], error: type[InputError] = InputError) -> Iterator[None]:
+    """Name the file in the error of a block that reads it.
+
+    Parameters
+    ----------
+    path : str or path
+        The file.
+    error : type
+        Class of the error that is raised.
+
+    Returns
+    -------
+    context manager
+
+    Raises
+    ------
+    InputError
+        The block raised OSError or ValueError. The class is `error`.
+    """
+    try:
+        yield
+    except (OSError, ValueError) as wrong:
+        raise error(f"cannot be read: {getattr(wrong, 'strerror', None) or wrong}", os.fspath(path)) from wrong

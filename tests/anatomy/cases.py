@@ -1,7 +1,5 @@
 """Invented cases of many masks, of layers and of two labels; SimpleITK writes the masks."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

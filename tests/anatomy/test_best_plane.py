@@ -1,7 +1,5 @@
 """The best plane through an anatomy."""
 
-from __future__ import annotations
-
 import json
 import math
 from pathlib import Path

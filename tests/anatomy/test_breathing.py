@@ -1,7 +1,5 @@
 """Breathing: where the tissue is, what executions in the moved anatomy show, and the files that describe it."""
 
-from __future__ import annotations
-
 import json
 import math
 from dataclasses import replace

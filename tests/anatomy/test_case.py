@@ -1,7 +1,5 @@
 """Cases of many masks: SimpleITK says which structure a position belongs to."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Cases that are wrong or unclear: each is refused with a message that says what to do."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The voxels that segments cross, against exact arithmetic; and executions that meet a voxel between two points."""
 
-from __future__ import annotations
-
 from fractions import Fraction
 from itertools import product
 

@@ -1,7 +1,5 @@
 """DICOM SEG as structures of a case: places, segments that overlap, and what is refused."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """From a small volume to ranked entries, in Python and on the command line."""
 
-from __future__ import annotations
-
 import csv
 import itertools
 import json

@@ -1,7 +1,5 @@
 """The frame of the lattice, resampling beside SimpleITK, and anatomies that contradict themselves."""
 
-from __future__ import annotations
-
 import math
 from contextlib import nullcontext
 from pathlib import Path
@@ -21,7 +19,6 @@ from needleplan.anatomy import (
     grid_of,
     nearest_labels,
     read_volume,
-    signed_distances,
 )
 from needleplan.errors import ScenarioError
 from tests.anatomy.volumes import NAMES, TEXT, anatomy, box, rotation, write
@@ -80,7 +77,7 @@ def test_resampling_agrees_with_itk(tmp_path: Path, name: str, turned: bool, mir
     expected = itk_resampled(SimpleITK.ReadImage(str(tmp_path / name)), frame, False, 9)
     assert (found == expected).mean() > 0.9995  # points halfway between voxels may differ by rounding
     assert 0.01 < (found == 9).mean() < 0.9
-    distance = signed_distances(volume, volume.labels == 3, frame)
+    distance = _frame.file_distances(volume, volume.labels == 3, frame).at_points(volume, frame)
     map_ = SimpleITK.SignedMaurerDistanceMap(
         SimpleITK.Cast(SimpleITK.ReadImage(str(tmp_path / name)) == 3, SimpleITK.sitkUInt8),
         squaredDistance=False, useImageSpacing=True, insideIsPositive=False,
@@ -101,7 +98,7 @@ def test_linear_interpolation_of_distances_is_that_of_itk(monkeypatch: pytest.Mo
     frame = SpaceFrame(volume.world([14.5, 11.5, 6.5]) - np.array([5.0, 5.0, 5.0]) @ axes, axes, 1.1, (10, 9, 8))
     values = np.random.default_rng(1).random(volume.labels.shape)
     monkeypatch.setattr("scipy.ndimage.distance_transform_edt", lambda part, **_: transform(part, values))
-    found = signed_distances(volume, np.ones(values.shape, bool), frame)
+    found = _frame.file_distances(volume, np.ones(values.shape, bool), frame).at_points(volume, frame)
     expected = itk_resampled(itk_image(SIZES.min() / 2 - values, affine), frame, True, np.nan)
     np.testing.assert_allclose(found, expected, atol=2e-5)
 
@@ -119,7 +116,7 @@ def test_distances_of_a_ball_are_right() -> None:
     ball = np.linalg.norm(points - center, axis=-1) <= radius
     frame = SpaceFrame(np.array([5.0, 5.0, 5.0]), np.eye(3), 2.5, (20, 18, 18))
     truth = [np.linalg.norm(frame.slice_points(number) - center, axis=-1) - radius for number in range(20)]
-    error = signed_distances(volume, ball, frame) - np.array(truth)
+    error = _frame.file_distances(volume, ball, frame).at_points(volume, frame) - np.array(truth)
     assert abs(error).max() < 1.5
     assert abs(error.mean()) < 0.5
 

@@ -1,7 +1,5 @@
 """Limits of an insertion in the anatomy file: which entries are left, how many, and what an empty set says."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import asdict
 from pathlib import Path

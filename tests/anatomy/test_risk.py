@@ -1,7 +1,5 @@
 """Distances of a path to each obstacle of the file, against the distance to every voxel."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

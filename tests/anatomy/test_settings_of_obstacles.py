@@ -1,7 +1,5 @@
 """Spacing that a lattice chooses, thickness and margins around obstacles, and what the lattice changes of the file."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Several targets: what the file says, one lattice, the ranking of entries, and the order of the insertions."""
 
-from __future__ import annotations
-
 import csv
 import itertools
 import json

@@ -1,7 +1,5 @@
 """The target as the user gave it, against the labels of the file."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Transform files are read by ITK, and mean in 3D Slicer what they should."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Volumes are read with their orientation; wrong, damaged and hostile files are refused by one clear error."""
 
-from __future__ import annotations
-
 import gzip
 import struct
 from pathlib import Path

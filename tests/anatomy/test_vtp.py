@@ -1,7 +1,5 @@
 """VTP files, read back by VTK."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import Any

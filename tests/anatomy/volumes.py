@@ -1,7 +1,5 @@
 """Small volumes and anatomies for tests."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

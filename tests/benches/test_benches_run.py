@@ -1,7 +1,5 @@
 """Every bench runs, with few runs, small grids or one case, in one process that imports the package once."""
 
-from __future__ import annotations
-
 import importlib
 import inspect
 import sys
@@ -42,7 +40,10 @@ SHORT: dict[str, tuple[str, dict[str, Any]]] = {
     "next_insertion": ("--short", {}),
     "predicted_tip": ("--runs 1 --layers 1", {}),
     "predictions": ("--scenarios four_obstacles --poses 1 --runs 10", {}),
-    "promised_success": ("", {"SCENARIOS": ("four_obstacles",), "ANATOMIES": ()}),
+    "promised_success": (
+        "",
+        {"SCENARIOS": ("four_obstacles",), "ANATOMIES": (), "LABS": ("four_obstacles",), "SEEDS": 1},
+    ),
     "quiet_sensor": ("--effect viscous --rate 50 --noise 0.05", {}),
     "real_adaptation": (str(REAL), {"TISSUES": ("phantomC",), "SHARES": (0.5,)}),
     "real_insertions": (str(REAL), {"TISSUES": ("phantomC",)}),

@@ -1,7 +1,5 @@
 """The needle and the tissue without any hidden effect: nominal numbers, and what differs from trial to trial."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

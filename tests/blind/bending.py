@@ -1,7 +1,5 @@
 """Hidden effects of needle and tissue on the tip's path."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import ClassVar, Self
 

@@ -3,8 +3,6 @@
 A case keeps its seed whatever the counts are, so that a small campaign is a part of a large one.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 from enum import StrEnum

@@ -7,8 +7,6 @@ with q = 0.
 The last column is the tip: a bristle of its own that is always in contact and begins unloaded (-1).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -4,8 +4,6 @@ The tip's tangent t and two normals e1, e2 that never twist about it turn by the
 dt/ds = K1 e1 + K2 e2, de_i/ds = -K_i t. Each step is the exact arc of its K.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

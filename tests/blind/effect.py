@@ -1,7 +1,5 @@
 """What a hidden effect may do: move the tissue, change the contact, add friction or force, or spoil the sensor."""
 
-from __future__ import annotations
-
 from abc import ABC
 from dataclasses import dataclass
 from enum import StrEnum

@@ -1,7 +1,5 @@
 """The force channel: from a specification with its seed to recordings, and apart from them the truth."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any

@@ -5,8 +5,6 @@ and its origin in the middle of the volume; the voxels are unequal, oblique, and
 bronchi are trees of tapered branches down to a diameter of 1 mm. A voxel has the label of the shape at its centre.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum

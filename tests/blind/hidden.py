@@ -1,7 +1,5 @@
 """What hidden effects of both channels have in common: a name, a size, parameters; axes of those without a name."""
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, fields, replace
 from enum import StrEnum

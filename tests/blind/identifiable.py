@@ -1,7 +1,5 @@
 """How much of an effect is left when the base is calibrated again: its size as an analyst can see it at best."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

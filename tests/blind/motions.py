@@ -1,7 +1,5 @@
 """Motions of the needle's base along its axis: 31 s each, smooth in speed, beginning and ending in the air."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from enum import StrEnum
 

@@ -4,8 +4,6 @@ In tissue the tip moves along its tangent, x' = t, and turns toward the unit vec
 in the plane of the step the path is a circle's arc.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 

@@ -8,8 +8,6 @@ Walls are conservative: every voxel that a wall touches is obstacle. A continuou
 wall, and every voxel that contains the point where it does is obstacle: nothing slips between diagonal voxels.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from enum import StrEnum
 

@@ -3,8 +3,6 @@
 TUNING are those that thresholds may be tuned with. NEVER_TUNED are kept for reporting: never used while tuning.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import ClassVar, Self
 

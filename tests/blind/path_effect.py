@@ -1,7 +1,5 @@
 """What a hidden effect of the tip path may do: tilt the entry, twist the needle, bend the path, spoil the tracker."""
 
-from __future__ import annotations
-
 from abc import ABC
 from dataclasses import dataclass
 from enum import StrEnum

@@ -1,7 +1,5 @@
 """Hidden effects of the tip path outside of any library. NEVER_TUNED_PATH: never used while tuning."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import ClassVar, Self
 

@@ -1,7 +1,5 @@
 """Trials as somebody would record them, and their files."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum

@@ -1,7 +1,5 @@
 """Hidden effects between needle and tissue."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from typing import ClassVar, Self
 

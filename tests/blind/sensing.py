@@ -1,7 +1,5 @@
 """Hidden effects in the sensor and in what carries it."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import ClassVar, Self
 

@@ -5,8 +5,6 @@ slope, a step or a walk of the direction of entry, the curvature fades with dept
 the tracker has white noise and a slow error. The needle is integrated in steps of half a millimetre.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from enum import StrEnum
 

@@ -1,7 +1,5 @@
 """Sizes of effects by what they do: the RMS of their contribution to the training data."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 

@@ -1,7 +1,5 @@
 """Motions of a steered needle's base: inserted at several speeds, turned about its axis at rest, held; 24 s each."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from enum import StrEnum
 

@@ -1,7 +1,5 @@
 """The generator knows nothing of what it is to judge."""
 
-from __future__ import annotations
-
 import ast
 import sys
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Hidden effects in the tracker and its coil."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import ClassVar, Self
 

@@ -1,7 +1,5 @@
 """What was hidden in a data set. It is written to another folder than the data, or not at all."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import asdict, dataclass
 from pathlib import Path

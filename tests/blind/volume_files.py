@@ -1,7 +1,5 @@
 """Cases and volumes as files, by nibabel and pynrrd."""
 
-from __future__ import annotations
-
 import tomllib
 from collections.abc import Sequence
 from dataclasses import dataclass

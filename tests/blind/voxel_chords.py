@@ -6,8 +6,6 @@ less than SAGITTA_MM, and each chord visits every voxel that it crosses (Amanati
 algorithm, 1987).
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -4,8 +4,6 @@ All coordinates are local mm: the voxel (i, j, k) of size h is the box of (i - 1
 (i + 1/2, j + 1/2, k + 1/2) h. Local coordinates are the patient's, turned and shifted, so distances are the same.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

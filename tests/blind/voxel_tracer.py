@@ -1,7 +1,5 @@
 """Paths of needles through the voxels of a file: what they touch, and how near they come."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Opens the page in Debian's chromium, and notes everything that must not happen: errors and foreign requests."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import shutil

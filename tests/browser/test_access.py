@@ -1,7 +1,5 @@
 """The page for everybody: keyboard only, screen readers, light and dark, tablets; and two plans side by side."""
 
-from __future__ import annotations
-
 import re
 from typing import Any
 

@@ -1,7 +1,5 @@
 """`view FOLDER`: a diagnosis before and after, trial by trial."""
 
-from __future__ import annotations
-
 import json
 import re
 import shlex

@@ -1,7 +1,5 @@
 """Editing a scenario in the page: values, handles, history, sliders, files, and code that reproduces what is shown."""
 
-from __future__ import annotations
-
 import contextlib
 import io
 import math

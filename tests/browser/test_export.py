@@ -1,7 +1,5 @@
 """`view --export`: the page of one plan in one file, opened from the disk."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """The page in a real browser: it shows the plan, and a drag changes the path."""
 
-from __future__ import annotations
-
 import pytest
 from playwright.sync_api import Page
 

@@ -3,8 +3,6 @@
 The tests look for what a picture must not be: blank, wider than the window, or with one button over another.
 """
 
-from __future__ import annotations
-
 import re
 from itertools import combinations, product
 from pathlib import Path

@@ -1,7 +1,5 @@
 """`view RUN.mcap`: a recorded insertion beside its plan, over time."""
 
-from __future__ import annotations
-
 import re
 import time
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What may go wrong around the page: there is a message, never a blank page, and no work is lost."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

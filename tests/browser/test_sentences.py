@@ -1,7 +1,5 @@
 """The first lines of each panel: verdict, nearest risk, next step; several targets; a browser without WebGL."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator
 from pathlib import Path

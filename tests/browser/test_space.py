@@ -1,7 +1,5 @@
 """The page of a 3D plan: slices, 3D view, ranked entries, files, and the copy without a server."""
 
-from __future__ import annotations
-
 import json
 import re
 import shlex

@@ -1,7 +1,5 @@
 """`view RUN.mcap` of a 3D insertion: the path over time in slices and in 3D, force, decisions."""
 
-from __future__ import annotations
-
 import re
 import shlex
 import shutil

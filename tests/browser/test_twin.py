@@ -1,7 +1,5 @@
 """Insertions in the lab twin from the page: followed while they run, stepped through, stopped, and left by an edit."""
 
-from __future__ import annotations
-
 import re
 import threading
 

@@ -1,7 +1,5 @@
 """Runs the program: in this process, which takes milliseconds, or in a process of its own, as a user does."""
 
-from __future__ import annotations
-
 import contextlib
 import io
 import signal

@@ -1,7 +1,5 @@
 """A whole set of devices in this process, with a robot that obeys a stop or does not."""
 
-from __future__ import annotations
-
 import contextlib
 import time
 from collections.abc import Iterator

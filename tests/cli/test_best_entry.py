@@ -1,7 +1,5 @@
 """There is one best entry of an anatomy: commands, files, figures, pages and table sets name the same."""
 
-from __future__ import annotations
-
 import csv
 import json
 from functools import cache

@@ -1,7 +1,5 @@
 """The option `--buckling` of `needleplan insert`."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

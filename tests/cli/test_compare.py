@@ -1,7 +1,5 @@
 """`needleplan compare`: the gap of each trial with the effects of a model and without."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

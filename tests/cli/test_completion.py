@@ -1,7 +1,5 @@
 """`needleplan completion`, in the shells that are installed."""
 
-from __future__ import annotations
-
 import shutil
 import subprocess
 from pathlib import Path

@@ -1,7 +1,5 @@
 """From recorded insertions by a 3D table to the effect that the plan lacks, and to the next plan."""
 
-from __future__ import annotations
-
 import json
 import math
 from pathlib import Path

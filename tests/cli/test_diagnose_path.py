@@ -1,7 +1,5 @@
 """From a diagnosis of a tip's path to all that loads its model: planner, tip filter, lab twin."""
 
-from __future__ import annotations
-
 import argparse
 import json
 from pathlib import Path

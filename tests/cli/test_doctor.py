@@ -1,7 +1,5 @@
 """`needleplan doctor` and `show_versions` say what is there and what is not."""
 
-from __future__ import annotations
-
 import json
 import shutil
 import sys

@@ -1,7 +1,5 @@
 """The force library: `identify force --force-library` stores, `info` lists and searches."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Commands that read the text files of other laboratories by `--columns`."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 

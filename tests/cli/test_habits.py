@@ -1,7 +1,5 @@
 """Rules that hold for all commands: help, suggestions, numbers, progress, overwriting, old words."""
 
-from __future__ import annotations
-
 import argparse
 import io
 import os

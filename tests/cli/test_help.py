@@ -56,8 +56,8 @@ def test_the_options_of_insert_stand_in_groups() -> None:
     shown = needleplan("insert", "--help").stdout
     titles = re.findall(r"^(\w[^\n]*):$", shown, re.MULTILINE)
     assert titles == [
-        "positional arguments", "options", "devices", "plan", "uncertainty", "safety", "motion",
-        "mechanics of the shaft", "outputs", "examples",
+        "positional arguments", "options", "devices", "sensors besides the tracker", "plan", "uncertainty", "safety",
+        "motion", "mechanics of the shaft", "outputs", "examples",
     ]  # fmt: skip
     assert all(shown.partition(f"\n{title}:\n")[2].partition("\n\n")[0].count("\n  -") < 10 for title in titles)
 

@@ -1,7 +1,5 @@
 """No command overwrites a file that it reads, also if only another file names it, and not with `--force` either."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

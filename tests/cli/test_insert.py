@@ -1,7 +1,5 @@
 """`needleplan insert` in the simulated lab, and what it refuses before anything moves."""
 
-from __future__ import annotations
-
 import json
 import math
 import os

@@ -1,7 +1,5 @@
 """`needleplan insert` in real time, over the bytes of devices, and devices that it refuses before anything moves."""
 
-from __future__ import annotations
-
 import json
 import shutil
 import socket

@@ -1,7 +1,5 @@
 """`needleplan insert --registration`: the file has a verdict, and its error at the target fits to the target."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace

@@ -1,7 +1,5 @@
 """`needleplan insert --table_set` in the simulated lab, and what it refuses."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

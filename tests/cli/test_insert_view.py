@@ -1,7 +1,5 @@
 """What a person sees of an insertion while it goes on."""
 
-from __future__ import annotations
-
 import argparse
 import io
 import math

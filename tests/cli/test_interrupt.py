@@ -1,7 +1,5 @@
 """Ctrl-C, sent for real, at random moments: exit code 130 and never a traceback."""
 
-from __future__ import annotations
-
 import random
 import re
 import signal

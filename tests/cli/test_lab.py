@@ -1,7 +1,5 @@
 """The program `needleplan lab` as a user runs it, seen through the clients of the real devices."""
 
-from __future__ import annotations
-
 import json
 import math
 import os

@@ -1,7 +1,5 @@
 """The registration that the lab writes for a 3D plan."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

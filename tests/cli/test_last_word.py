@@ -3,8 +3,6 @@
 Each command is a process of its own, because the exit code of a process is also decided after `main`.
 """
 
-from __future__ import annotations
-
 import json
 import signal
 import subprocess

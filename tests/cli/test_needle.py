@@ -1,7 +1,5 @@
 """Identified models on the command line: into a plan, and into a scenario."""
 
-from __future__ import annotations
-
 import json
 import math
 from pathlib import Path

@@ -1,7 +1,5 @@
 """An entry has one success: list, JSON, CSV, VTP, markups and `plan` print the same, and the list is ordered by it."""
 
-from __future__ import annotations
-
 import csv
 import json
 import re

@@ -1,7 +1,5 @@
 """The default of an option is that of the class that it configures, and its help says this number."""
 
-from __future__ import annotations
-
 import inspect
 import math
 import re

@@ -1,7 +1,5 @@
 """An option means the same in all commands: the same value, and the same kind of help."""
 
-from __future__ import annotations
-
 import argparse
 import re
 from collections import defaultdict

@@ -1,7 +1,5 @@
 """`needleplan plan`."""
 
-from __future__ import annotations
-
 import json
 import os
 import shlex

@@ -1,7 +1,5 @@
 """`plan`, `entry` and `insert` print the promise under what options and files say of errors."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """`needleplan recording` as a user runs it."""
 
-from __future__ import annotations
-
 import io
 import json
 from pathlib import Path

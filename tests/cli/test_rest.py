@@ -1,7 +1,5 @@
 """The end of a run says what was measured: at rest, or that the needle still moves."""
 
-from __future__ import annotations
-
 import json
 import os
 import signal

@@ -1,7 +1,5 @@
 """`needleplan retract`, on the sockets of a simulated robot."""
 
-from __future__ import annotations
-
 import json
 import os
 import pty

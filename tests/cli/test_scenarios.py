@@ -1,7 +1,5 @@
 """The commands `scenarios` and `new`."""
 
-from __future__ import annotations
-
 import json
 import re
 from pathlib import Path

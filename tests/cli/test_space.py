@@ -1,7 +1,5 @@
 """`plan` and `insert` in 3D."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

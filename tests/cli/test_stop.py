@@ -1,7 +1,5 @@
 """`needleplan stop`, on the sockets of a simulated robot; how little it imports."""
 
-from __future__ import annotations
-
 import json
 import os
 import signal

@@ -1,7 +1,5 @@
 """Text of files and devices is shown escaped, wherever a command prints it; faults of a terminal end nothing."""
 
-from __future__ import annotations
-
 import errno
 import io
 import json

@@ -1,7 +1,5 @@
 """The commands that read a table."""
 
-from __future__ import annotations
-
 import json
 import math
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """`entry` and `plan` in 3D where no entry reaches the target: one sentence on standard error, and exit code 1."""
 
-from __future__ import annotations
-
 import json
 import re
 from pathlib import Path

@@ -1,7 +1,5 @@
 """`needleplan view`: the command around the page."""
 
-from __future__ import annotations
-
 import http.client
 import signal
 import socket

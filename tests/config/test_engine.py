@@ -1,7 +1,5 @@
 """Rules and tables: every mistake at once, by key, value and rule, and a suggestion for what is misspelt."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 from enum import StrEnum

@@ -1,7 +1,5 @@
 """The TOML writer: what is written reads back as it was."""
 
-from __future__ import annotations
-
 import math
 import tomllib
 from datetime import date

@@ -4,8 +4,6 @@ It has the faults of a robot that does not stop: deaf (it takes no STOP), lying 
 that nothing moves), late, and mute (no status after a stop). It knows nothing of tags and limits.
 """
 
-from __future__ import annotations
-
 import math
 import struct
 import zlib

@@ -1,7 +1,5 @@
 """A person who interrupts a run, for tests of the loop."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 from needleplan.control import ExecutedStep, Insertion, Listener, RunCommand

@@ -1,7 +1,5 @@
 """A small scenario that is planned in no time, and labs in which the needle bends as planned or otherwise."""
 
-from __future__ import annotations
-
 from functools import cache
 from typing import Any
 

@@ -1,7 +1,5 @@
 """A small anatomy that is planned in no time, and labs in 3D."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 from typing import Any

@@ -1,7 +1,5 @@
 """The last steps, against the same questions asked at a thousand points of the arcs."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Gating: the needle advances only while breathing leaves the tissue near its place in the plan."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The loop in the lab twin, on simulated time."""
 
-from __future__ import annotations
-
 import gc
 import math
 import sys

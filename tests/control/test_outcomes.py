@@ -1,7 +1,5 @@
 """Outcomes of a run: stopped and refused are what was ordered and measured."""
 
-from __future__ import annotations
-
 import threading
 
 import pytest

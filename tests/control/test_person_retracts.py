@@ -1,7 +1,5 @@
 """A person retracts the needle while the loop runs, in the lab twin, on simulated time."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest

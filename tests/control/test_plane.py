@@ -1,7 +1,5 @@
 """Small rolls of the bevel that bring the tip back to the plane of the plan."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from typing import Any

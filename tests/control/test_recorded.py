@@ -1,7 +1,5 @@
 """An insertion as a recording: what is in it, what it exports to, and the loop on it again."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """An insertion in the lab twin with a known error of the registration ends as the promise's execution with it."""
 
-from __future__ import annotations
-
 import math
 from functools import cache
 

@@ -1,7 +1,5 @@
 """When the plan is left, what is planned instead, and when the new table is taken."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

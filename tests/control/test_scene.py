@@ -1,7 +1,5 @@
 """The scenario as a moving tip meets it."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

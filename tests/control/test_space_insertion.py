@@ -1,7 +1,5 @@
 """The loop in 3D, in the lab twin."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

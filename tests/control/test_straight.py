@@ -1,7 +1,5 @@
 """Straight steps: three arcs by the same devices, in the plane as in 3D."""
 
-from __future__ import annotations
-
 import math
 from functools import cache
 

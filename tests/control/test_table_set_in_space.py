@@ -1,7 +1,5 @@
 """Replanning with a table set in 3D: which stored tables hold for a plan, in which frame, and in a replay."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path

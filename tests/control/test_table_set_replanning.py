@@ -1,7 +1,5 @@
 """Replanning with a table set: the nearest table first, the exact one when it is there, and again in a replay."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -115,7 +113,7 @@ class SlowReading:
         self.permits = Semaphore(0)
         read = TableSetEntry.table
 
-        def table(entry: TableSetEntry) -> npl.PolicyTable | npl.SpaceTable:
+        def table(entry: TableSetEntry) -> npl.Table:
             self.begun.put(entry.values["curvature_radius_mm"])
             assert self.permits.acquire(timeout=30)
             return read(entry)

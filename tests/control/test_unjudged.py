@@ -1,7 +1,5 @@
 """Real devices need a registration that has passed, or that a person accepts, also from Python."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest

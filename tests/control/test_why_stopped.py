@@ -1,7 +1,5 @@
 """The reason of a stop names the fault of a device, also if the thread that reads passes it on late."""
 
-from __future__ import annotations
-
 from collections import deque
 from types import SimpleNamespace
 from typing import Any, cast

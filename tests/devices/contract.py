@@ -4,8 +4,6 @@ A test class offers a fixture `sensor`: the open device, at rest, with nothing m
 It may be one in this process, one behind a real line, or hardware.
 """
 
-from __future__ import annotations
-
 import math
 from itertools import pairwise
 from typing import Any

@@ -1,7 +1,5 @@
 """A full collection of garbage looks at what is new, and finds it."""
 
-from __future__ import annotations
-
 import gc
 import weakref
 

@@ -1,7 +1,5 @@
 """A stop of a stage without a guard, until it is measured at rest."""
 
-from __future__ import annotations
-
 import pytest
 
 from needleplan.bystander import StopOutcome

@@ -1,7 +1,5 @@
 """Curvature along the needle beside a model of the tip: sensors of a needle that is as modelled, and that is not."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """The law tolerance of the base: its columns, and what it does to a base whose friction follows another law."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from types import SimpleNamespace
 

@@ -1,7 +1,5 @@
 """Columns of the nonparametric components beside another formula of the same functions."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 
 import numpy as np

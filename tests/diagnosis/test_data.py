@@ -1,7 +1,5 @@
 """Unusable or missing data: they are reported, and no effect is named."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 

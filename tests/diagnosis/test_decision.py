@@ -1,7 +1,5 @@
 """The answer from posteriors that are written by hand."""
 
-from __future__ import annotations
-
 import math
 from types import SimpleNamespace
 

@@ -1,7 +1,5 @@
 """The second edition from recordings to the answer."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

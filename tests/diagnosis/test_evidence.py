@@ -1,7 +1,5 @@
 """The evidence against a dense multivariate normal that is computed independently."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Eliminated and swept rows of many matrices agree with the formulas, matrix by matrix."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given

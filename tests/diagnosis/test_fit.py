@@ -1,7 +1,5 @@
 """Fits come near the optimum where a missing effect or other laws distort the base."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Members of a set that may be errors of the formula of a stronger one."""
 
-from __future__ import annotations
-
 import math
 from types import SimpleNamespace
 from typing import Any

@@ -1,7 +1,5 @@
 """Where a gap is, and the shape of what no effect explains."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """What a caller may give to `diagnose`: models, files, tables, and the message for anything else."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 from typing import Any

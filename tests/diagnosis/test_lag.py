@@ -1,7 +1,5 @@
 """Fast computations against their slow reference."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

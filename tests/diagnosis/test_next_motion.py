@@ -1,7 +1,5 @@
 """The motion to measure next: its information against dense covariances, and what a further trial really decides."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 

@@ -1,7 +1,5 @@
 """Whether the data contradict a given parameter, if few trials hardly tell how far it scatters."""
 
-from __future__ import annotations
-
 import math
 
 import pytest

@@ -74,7 +74,8 @@ def test_a_plan_whose_claims_are_true_is_not_doubted(tmp_path: Path) -> None:
     assert all(each.low <= each.planned <= each.high for each in found.claims)
     assert claim(found, "curvature").planned == 1 / 40
     assert found.remarks == (
-        "the promise assumes that each decision knows the pose; the standard deviation of the heading was 0.57 deg",
+        "the success of the plan assumes that each decision knows the pose; the standard deviation of the heading was "
+        "0.57 deg",
     )
 
 
@@ -99,6 +100,14 @@ def test_the_chance_of_a_number_of_successes_is_that_of_the_binomial_test(tmp_pa
     assert success.p_value == pytest.approx(ours.pvalue)
     assert (success.low, success.high) == pytest.approx(tuple(ours.proportion_ci(0.95)))
     assert (success.measured, success.holds) == (0.5, ours.pvalue >= 0.01)
+
+
+def test_the_success_of_a_tip_that_is_known_up_to_a_coil_is_a_claim_of_its_own(tmp_path: Path) -> None:
+    runs = recorded(tmp_path, ["target"] * 5 + ["missed"] * 3)
+    known, late = compare_plan(small_table(), runs).claims[0], compare_plan(small_table(), runs, 10.0).claims[1]
+    assert late.name == "same, coil 10 mm behind"
+    assert late.planned < known.planned - 0.05
+    assert (late.measured, late.low, late.high) == (known.measured, known.low, known.high)
 
 
 def test_what_a_person_or_a_fault_ended_does_not_judge_the_plan(tmp_path: Path) -> None:
@@ -143,7 +152,9 @@ def test_the_command_prints_the_claims_and_says_by_its_code_whether_they_hold(
     assert "is a policy table; `needleplan compare" in capsys.readouterr().err
     for option in (["--fit"], ["--surface", "0"], ["--accept-units"]):
         assert main(["compare", str(tmp_path / "table.h5"), files[0], *option]) == 2
-        assert f"{option[0]}: is for models" in capsys.readouterr().err
+        refused = capsys.readouterr().err
+        assert refused.startswith(f"needleplan: {option[0]}")
+        assert "is for models" in refused
 
 
 @pytest.mark.study

@@ -1,7 +1,5 @@
 """What a user is promised of a diagnosis of the axial force."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 

@@ -1,7 +1,5 @@
 """Large effects in readings of a quiet sensor: base and laws without the effect are far from those with it."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

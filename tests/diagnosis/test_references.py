@@ -1,7 +1,5 @@
 """The recordings from which a model was identified are the references of a diagnosis with it."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The law of reversal of the base as a nuisance: its modes, the blended model, and the density that a fit increases."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 
 import numpy as np

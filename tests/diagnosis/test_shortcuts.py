@@ -1,7 +1,5 @@
 """Every shortcut of a diagnosis against the slow computation that it replaces."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A diagnosis uses one thread of BLAS: more threads make it slower, and its last digits depend on their number."""
 
-from __future__ import annotations
-
 import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 

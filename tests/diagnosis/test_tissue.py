@@ -1,7 +1,5 @@
 """Heterogeneous tissue of two kinds, drawn by recursions and filters that the engine does not use."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter1d

@@ -1,7 +1,5 @@
 """Recordings simulated with the models and noise, to test single stages; `tests/blind` tests the whole."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 import numpy as np

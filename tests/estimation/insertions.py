@@ -1,7 +1,5 @@
 """Records of insertions made with the published parameters."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from needleplan.estimation import JointForce

@@ -1,7 +1,5 @@
 """A needle by small steps, written without the filter's model: a rotation matrix that is turned a little each time."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Files that a needle is registered from, of a coil 9.3 mm behind the tip."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The error of a registration as a covariance, against its formula and against simulated registrations."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation

@@ -1,7 +1,5 @@
 """Curvature sensors in the tip filter: on a needle of small rotation matrices, and on the lab twin."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """The tip filter on the lab twin: a plant that it does not know, with layers, dropouts, twist and wandering errors."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """Ultrasound in the tip filter: any subset of tracker, curvature sensors and images, on the lab twin and by hand."""
 
-from __future__ import annotations
-
 import math
 from itertools import product
 

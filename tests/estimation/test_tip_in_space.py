@@ -1,7 +1,5 @@
 """The tip filter and the lab twin in 3D: rotated scenes, and an independent integration of the bicycle model."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

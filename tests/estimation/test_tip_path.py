@@ -1,7 +1,5 @@
 """The model of the tip filter: its arcs beside those of the plant, its covariances beside small steps, its channel."""
 
-from __future__ import annotations
-
 import math
 from itertools import pairwise
 

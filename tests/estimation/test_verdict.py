@@ -1,7 +1,5 @@
 """Damaged registrations are refused with their reason, sound ones pass."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Planning and the look-up need few libraries; what misses another library says how to install it."""
 
-from __future__ import annotations
-
 import re
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """`progress=True` shows a bar on a terminal or in a notebook, and removes it at the end, also after an error."""
 
-from __future__ import annotations
-
 import io
 import sys
 from types import SimpleNamespace

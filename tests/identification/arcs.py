@@ -1,7 +1,5 @@
 """Arcs of needles and the noise of trackers."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from needleplan.models import arc_step

@@ -1,7 +1,5 @@
 """Joint fits of several trials whose parameters differ: the intervals hold the scatter between trials."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy import stats

@@ -1,7 +1,5 @@
 """Series with a damaged or foreign fourth insertion: one clear error, or a remark that names it."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 

@@ -3,8 +3,6 @@
 The records come from the march of a finite needle with all axial terms, not from the path law that is fitted.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

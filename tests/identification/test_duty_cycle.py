@@ -1,7 +1,5 @@
 """The curvature that is left of a needle that turns while it is inserted."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

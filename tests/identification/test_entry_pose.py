@@ -1,7 +1,5 @@
 """Entry pose and predicted tip: known truth, and the coverage of the region."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Spikes, saturation and a flipped sign are found, reported, and do not change the model; sound data are left alone."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Identification of friction: the models of chapter 3 on records whose making is known."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from matplotlib.figure import Figure

@@ -1,7 +1,5 @@
 """The end of an insertion, predicted from its beginning and from earlier insertions."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The law of insertions as a population: on series by another hand, beside a textbook, at its limits, and for users."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,17 +1,14 @@
 """Public files as they are: repeated times, resets, units, scales, missing columns, mixed frames, no hold-out."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from needleplan.cli import main
-from needleplan.errors import DataError
 from needleplan.identification import curvature
 from needleplan.identification.friction import identify
-from needleplan.recording import read_depth_force, read_records, write_records
+from needleplan.recording import read_records, write_records
 from needleplan.signals import Array, Record, insertion_cycles
 
 MOTION = insertion_cycles(40.0, 10.0, rate_hz=20.0)
@@ -65,13 +62,6 @@ def test_the_command_refuses_with_the_likely_fix(case: str, tmp_path: Path, caps
     assert expected in captured.err
     assert "Traceback" not in captured.err
     assert not captured.out
-
-
-def test_a_digitised_curve_in_millimetres_is_refused(tmp_path: Path) -> None:
-    """The depth of such a file is in m; 40 mm given as 40 would be 40 m."""
-    (tmp_path / "curve.csv").write_text("\n".join(f"{x},{0.01 * x}" for x in range(41)))
-    with pytest.raises(DataError, match="questionably large"):
-        read_depth_force(tmp_path / "curve.csv", 3.0)
 
 
 def test_one_cycle_is_not_called_held_out() -> None:

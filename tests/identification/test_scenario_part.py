@@ -1,7 +1,5 @@
 """From repeated insertions to the needle and the tip noise of a scenario."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

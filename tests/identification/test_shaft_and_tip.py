@@ -1,7 +1,5 @@
 """Friction of the shaft and cutting force of the tip: values, intervals, scatter between trials, and remarks."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """`identify shape`: curvatures of sensors to kappa_c and omega_init, against published numbers and a known truth."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

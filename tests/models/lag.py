@@ -1,7 +1,5 @@
 """The smallest member of the family: a first-order lag with an offset."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import ClassVar
 

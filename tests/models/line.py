@@ -1,7 +1,5 @@
 """The smallest static member of the family: a force that grows with depth and speed."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import ClassVar
 

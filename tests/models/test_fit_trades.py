@@ -1,7 +1,5 @@
 """Parameters that only a product or a sum of them determines are all named, and none of them is identified."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.signal import lfilter

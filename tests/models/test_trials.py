@@ -1,7 +1,5 @@
 """Combination of trials: the coverage of the intervals, measured by simulation, and the formulas by hand."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

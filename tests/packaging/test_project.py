@@ -1,7 +1,5 @@
 """What the package index and the installation say about the project is complete and true."""
 
-from __future__ import annotations
-
 import re
 import shutil
 import subprocess

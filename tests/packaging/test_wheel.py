@@ -1,7 +1,5 @@
 """The sdist builds in a clean environment, and the wheel of it plans in another one, without any extra."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """One diagnosis of a few effects, for tests that only look at it."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 from pathlib import Path

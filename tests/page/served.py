@@ -1,7 +1,5 @@
 """Serves the page of a scenario in a thread of the test, and sends it requests as any program could."""
 
-from __future__ import annotations
-
 import contextlib
 import http.client
 import json

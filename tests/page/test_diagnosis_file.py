@@ -1,7 +1,5 @@
 """A diagnosis is read for the page: what is damaged or missing is one message, and the rest is shown."""
 
-from __future__ import annotations
-
 import copy
 import json
 import random

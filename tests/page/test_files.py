@@ -1,7 +1,5 @@
 """Files and code that the page hands out."""
 
-from __future__ import annotations
-
 import contextlib
 import io
 import subprocess

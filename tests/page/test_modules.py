@@ -1,7 +1,5 @@
 """Each page loads its modules at once: those that its main module needs, and no others."""
 
-from __future__ import annotations
-
 import re
 
 import pytest

@@ -1,7 +1,5 @@
 """The queue of plans: of each tab, the newest request wins."""
 
-from __future__ import annotations
-
 import threading
 from collections.abc import Callable, Iterator
 from dataclasses import replace

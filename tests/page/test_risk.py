@@ -1,7 +1,5 @@
 """Distances from obstacles that the page shows."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

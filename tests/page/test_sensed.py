@@ -1,7 +1,5 @@
 """Curvature sensors and images in the message of an insertion: curvatures, shape, positions in the plan."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The server of the page: who may use it, and what it answers to right and wrong requests."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator
 from dataclasses import replace

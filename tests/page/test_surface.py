@@ -1,7 +1,5 @@
 """Surfaces of bodies on a grid: closed, with the normals outside, of the right volume."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given

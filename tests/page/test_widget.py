@@ -1,7 +1,5 @@
 """`npl.view`: the page of a plan in a notebook."""
 
-from __future__ import annotations
-
 import html
 import re
 from pathlib import Path

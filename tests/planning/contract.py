@@ -1,7 +1,5 @@
 """What callers may rely on whatever the kind of a table: tests that each kind inherits."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -7,8 +7,6 @@ Every call has good arguments, of which one to three are replaced. It must retur
 exception or a hang ends the program with a message that names the call.
 """
 
-from __future__ import annotations
-
 import contextlib
 import faulthandler
 import math

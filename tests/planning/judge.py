@@ -1,7 +1,5 @@
 """The judge of a plan: a tracer and volumes that share no code with the planner."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -4,8 +4,6 @@ It shares the decisions (`decide`) and the formula of an arc with the product. I
 for what is at many points of each chord, where the product computes which faces a chord crosses.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

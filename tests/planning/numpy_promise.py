@@ -4,8 +4,6 @@ They share the decisions with the product. They have their own geometry: many po
 anatomy one by one.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

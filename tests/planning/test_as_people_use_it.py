@@ -1,7 +1,5 @@
 """Names, short forms, copies, notebooks and messages: what a user of Python meets first."""
 
-from __future__ import annotations
-
 import copy
 import math
 import pickle

@@ -1,7 +1,5 @@
 """The border of the workspace: grids that do not end on it, and poses beyond it."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """The price of insertion close to obstacles: against the slow oracle, against executions, and what it does to paths."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from typing import Any

@@ -1,7 +1,5 @@
 """Actions and outcomes: equal to their text, with codes in arrays."""
 
-from __future__ import annotations
-
 import copy
 import json
 import pickle

@@ -1,7 +1,5 @@
 """Figures hold what they should; how they look is looked at."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

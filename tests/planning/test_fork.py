@@ -1,7 +1,5 @@
 """Planning in a forked process: a fork copies the memory of the solver, but not its threads."""
 
-from __future__ import annotations
-
 import multiprocessing
 import os
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Calls with wrong arguments end with a documented exception: no panic, no abort, no hang."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from pathlib import Path

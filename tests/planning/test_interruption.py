@@ -1,7 +1,5 @@
 """Ctrl-C and limits during long work of every kind; the work neither takes the GIL nor waits for it."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """Plans judged in the voxels of the file, by a tracer and by volumes that share no code with the planner."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """The solver for anybody's MDP."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given

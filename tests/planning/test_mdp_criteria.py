@@ -1,7 +1,5 @@
 """Methods by structure, a given policy, a finite horizon and the average per step, against dense twins."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings

@@ -1,7 +1,5 @@
 """The layouts of arrays, tables and functions that an MDP is made of: all against the same dense problem."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The examples in MATLAB's language and in C of the reference of the table file, run by Octave and a C compiler."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess

@@ -1,7 +1,5 @@
 """From a scenario to a table."""
 
-from __future__ import annotations
-
 import math
 import os
 import signal

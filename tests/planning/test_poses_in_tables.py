@@ -1,7 +1,5 @@
 """Poses as a table with named columns: columns count by name, in any order."""
 
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 import pytest

@@ -16,16 +16,19 @@ from needleplan.anatomy import SpaceScenario
 from needleplan.errors import InputError, PoseError
 from needleplan.planning import PolicyTable, Promise, SpaceTable, Success, Uncertainty, plan, plan_space
 from needleplan.planning._plane_truth import plane_truths
-from needleplan.planning._promise import ErrorDraws
+from needleplan.planning._promise import ErrorDraws, Truths
 from needleplan.scenario import Grid, Layer, Needle, Obstacle, Scenario, Target, TipMotion, Workspace
 from needleplan.signals import RigidError
 from tests.anatomy.volumes import TEXT, anatomy, box
+from tests.planning.numpy_late import late_in_3d, late_in_plane
 from tests.planning.numpy_promise import plane_twin, space_twin
 
 pytestmark = pytest.mark.usefixtures("few_executions")
 
 EXACT = Uncertainty()
-ALL = Uncertainty(entry_sd_mm=0.8, heading_sd_deg=1.5, tre_mm=1.2, curvature_ratio=(0.8, 1.2))
+ALL = Uncertainty(entry_sd_mm=0.8, heading_sd_deg=1.5, tre_mm=1.2, curvature_ratio=(0.8, 1.2), coil_mm=3.0)
+# Without the tip noise that is known late, which is random in the twins too.
+FIXED = replace(ALL, coil_mm=0.0)
 # Standard deviations by which a share may differ from its probability.
 SIGMAS = 4.0
 # A start in the plane, away from the corners.
@@ -65,7 +68,9 @@ def outcomes(table: Any, uncertainty: Uncertainty, pose: Any, runs: int, seed: i
     draws = ErrorDraws.of(runs, seed)
     motions = table._error_in_plan(uncertainty.rigid_error()).motions(draws.registration)
     starts = table._scattered(pose, uncertainty, draws.entry)
-    return np.asarray(table._reached(starts, (motions, uncertainty.ratios(draws.curvature)), seed))
+    return np.asarray(
+        table._reached(starts, Truths(motions, uncertainty.ratios(draws.curvature), uncertainty.coil_mm), seed)
+    )
 
 
 def is_likely(share: Success, probability: float) -> bool:
@@ -105,7 +110,7 @@ def test_it_is_the_same_for_any_number_of_threads(plane: PolicyTable, space: Spa
     draws = ErrorDraws.of(200, 3)
     motions, ratios = ALL.rigid_error().motions(draws.registration), ALL.ratios(draws.curvature)
     starts = plane._scattered(START, ALL, draws.entry)
-    truths = plane_truths((motions, ratios), plane.scenario.target_mm)
+    truths = plane_truths(Truths(motions, ratios, ALL.coil_mm), plane.scenario.target_mm)
     of_plane = [
         plane.lattice.rollout(plane.policy, plane.values, starts, runs=1, seed=3, greedy=True, max_steps=1000,
                               truths=truths, threads=threads)["length_mm"]
@@ -113,7 +118,10 @@ def test_it_is_the_same_for_any_number_of_threads(plane: PolicyTable, space: Spa
     ]  # fmt: skip
     assert np.array_equal(*of_plane)
     poses = space._scattered(space.best_entry(), ALL, draws.entry)
-    poses, rows = poses[~np.isnan(poses[:, 0])], np.concatenate([motions.reshape(-1, 12), ratios[:, None]], -1)
+    poses, rows = (
+        poses[~np.isnan(poses[:, 0])],
+        np.column_stack([motions.reshape(-1, 12), ratios, np.full(200, ALL.coil_mm)]),
+    )
     of_space = [
         space.solved.true_outcomes(poses, rows[: len(poses)], center_mm=space.scenario.target_mm, seed=3, threads=each)
         for each in (1, 3)
@@ -124,7 +132,7 @@ def test_it_is_the_same_for_any_number_of_threads(plane: PolicyTable, space: Spa
 def test_each_error_alone_and_all_together(table: Any) -> None:
     best = table.best_entry()
     promise = table.success_under(ALL, best, executions=200, seed=2)
-    assert list(promise.parts()) == ["exact", "entry", "registration", "curvature", "together"]
+    assert list(promise.parts()) == ["exact", "entry", "registration", "curvature", "tip", "together"]
     assert promise.registration.value < promise.exact.value
     for name, part in ALL.parts().items():
         alone = table.success_under(part, best, executions=200, seed=2)
@@ -219,25 +227,53 @@ def test_executions_in_the_plane_are_those_of_the_twin(plane: PolicyTable) -> No
     draws = ErrorDraws.of(40, 5)
     starts = table._scattered(START, ALL, draws.entry)
     motions, ratios = ALL.rigid_error().motions(draws.registration), ALL.ratios(draws.curvature)
-    truths = plane_truths((motions, ratios), table.scenario.target_mm)
+    truths = plane_truths(Truths(motions, ratios), table.scenario.target_mm)
     found = table._execution(nearest=False).reached(starts, truths, 0)
     assert 5 < found.sum() < 35
     # Near a border of a layer the pieces of an arc have another curvature than its points.
-    assert (found == plane_twin(table, starts, truths)).sum() >= 38
+    assert (found == plane_twin(table, starts, truths[:, :5])).sum() >= 38
 
 
 def test_executions_in_3d_are_those_of_the_twin() -> None:
     table = space_table(1e-6)
-    wide = replace(ALL, tre_mm=4.0)
+    wide = replace(FIXED, tre_mm=4.0)
     draws, best = ErrorDraws.of(30, 5), table.best_entry()
     starts = table._scattered(best, wide, draws.entry)
     motions = table._error_in_plan(wide.rigid_error()).motions(draws.registration)
-    found = table._reached(starts, (motions, wide.ratios(draws.curvature)), 0)
+    found = table._reached(starts, Truths(motions, wide.ratios(draws.curvature)), 0)
     assert 3 < found.sum() < 27
     known = ~np.isnan(starts[:, 0])
     truths = np.concatenate([motions.reshape(-1, 12), wide.ratios(draws.curvature)[:, None]], -1)
     same = found[known] == space_twin(table, starts[known], truths[known])
     assert same.sum() >= known.sum() - 2
+
+
+def late_agrees(found: Success, share: float, runs: int) -> bool:
+    """Return whether the shares of two samples of executions differ by chance."""
+    mean = (found.value * found.runs + share * runs) / (found.runs + runs)
+    return abs(found.value - share) < SIGMAS * math.sqrt(mean * (1 - mean) * (1 / found.runs + 1 / runs))
+
+
+@pytest.mark.parametrize("coil_mm", [2.0, 9.0])
+def test_tip_noise_that_is_known_late_costs_in_the_plane_what_it_costs_the_twin(
+    plane: PolicyTable, coil_mm: float
+) -> None:
+    table = plan(replace(plane.scenario, needle=Needle(40.0)))
+    start, runs = (0.0, 20.0, 0.3, -1), 300
+    found = table.success_under(Uncertainty(coil_mm=coil_mm), start, executions=4000, seed=3)
+    assert found.tip == found.together
+    assert found.together.value < found.exact.value - 0.05
+    assert late_agrees(found.together, late_in_plane(table, start, coil_mm, runs, 1), runs)
+
+
+@pytest.mark.parametrize("coil_mm", [4.0, 15.0])
+def test_tip_noise_that_is_known_late_costs_in_3d_what_it_costs_the_twin(coil_mm: float) -> None:
+    text = TEXT.replace("radius_mm = 60.0", "radius_mm = 60.0\ntip_noise_deg = 8.0")
+    table = plan_space(SpaceScenario.of(anatomy(box(), text)), threads=1)
+    best, runs = table.best_entry().pose, 300
+    found = table.success_under(Uncertainty(coil_mm=coil_mm), best, executions=4000, seed=3)
+    pose = np.array([*best.position_mm, *best.tangent])
+    assert late_agrees(found.together, late_in_3d(table, pose, coil_mm, runs, 1), runs)
 
 
 def test_a_box_of_a_lattice_promises_as_the_whole(space: SpaceTable) -> None:

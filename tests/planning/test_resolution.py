@@ -1,7 +1,5 @@
 """The check of a plan: what the grid does not resolve is said, with the setting that helps."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

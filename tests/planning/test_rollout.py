@@ -1,7 +1,5 @@
 """Many executions with noise, and their statistics."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

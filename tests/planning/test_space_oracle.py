@@ -1,7 +1,5 @@
 """The compiled pass in 3D beside its slow twin, and predictions beside executions, from Python."""
 
-from __future__ import annotations
-
 import numpy as np
 import oracle_space as oracle
 import pytest

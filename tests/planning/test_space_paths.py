@@ -1,7 +1,5 @@
 """Compiled executions in 3D against their slow twin in NumPy, and against the rollouts whose runs they are."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

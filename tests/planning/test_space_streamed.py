@@ -1,7 +1,5 @@
 """3D tables that are written while they are solved and mapped into memory."""
 
-from __future__ import annotations
-
 import errno
 import json
 import os

@@ -1,7 +1,5 @@
 """3D tables: files, look-ups and scenarios."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

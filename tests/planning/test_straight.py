@@ -1,7 +1,5 @@
 """The straight action: closed forms, executions, all methods, and what is refused."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from pathlib import Path

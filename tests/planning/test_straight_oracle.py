@@ -1,7 +1,5 @@
 """The straight action against the slow oracle: tables, executions and predictions at exact poses."""
 
-from __future__ import annotations
-
 import math
 import os
 from typing import Any

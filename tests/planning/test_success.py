@@ -1,7 +1,5 @@
 """Success on a grid finer than that of the policy: against the slow oracle, and against what is realised."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

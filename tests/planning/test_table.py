@@ -1,7 +1,5 @@
 """What a table answers."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """The contract of tables, in the plane and in 3D."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest

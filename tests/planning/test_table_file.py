@@ -1,7 +1,5 @@
 """A table survives its file bit for bit, and an altered file is always refused."""
 
-from __future__ import annotations
-
 import errno
 import io
 import os

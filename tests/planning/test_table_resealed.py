@@ -1,7 +1,5 @@
 """A table that was changed and sealed again is refused; a signature finds what corrected digests hide."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Layers and tissues: the radius by place, through the public surface, against the slow oracle and by hand."""
 
-from __future__ import annotations
-
 import copy
 import math
 import tomllib

@@ -1,7 +1,5 @@
 """The whole arc of a step is tested: against finely sampled arcs and shapely, in tables and in executions."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Measurements that other people made; without a licence to ship them, they stand beside the repository."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

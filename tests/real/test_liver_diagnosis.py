@@ -1,7 +1,5 @@
 """What a diagnosis says of a published curve: one trial, no noise record. The how-to shows this run, word by word."""
 
-from __future__ import annotations
-
 import json
 import shlex
 from pathlib import Path
@@ -10,7 +8,7 @@ import pytest
 
 from needleplan.cli import main
 from needleplan.models import ModelFile
-from needleplan.recording import read_depth_force, write_records
+from needleplan.recording import read_records, write_records
 from tests import pages
 from tests.diagnosis.trials import BASE
 from tests.real.shared import require
@@ -48,7 +46,7 @@ def test_the_page_shows_what_is_printed_and_no_name_is_given(
 
 
 def test_digitised_points_are_refused_as_they_are(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    write_records([read_depth_force(FILE, 3.0)], tmp_path / "curve.csv")
+    write_records(read_records(FILE, columns="depth=1[m], force=2[N], speed=3[mm/s]"), tmp_path / "curve.csv")
     ModelFile(BASE).write(tmp_path / "model.toml")
     arguments = [str(tmp_path / "model.toml"), str(tmp_path / "curve.csv"), "-o", str(tmp_path / "out")]
     assert main(["diagnose", *arguments]) == 2

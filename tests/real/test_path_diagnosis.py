@@ -1,13 +1,11 @@
 """What the page on the diagnosis says of paths that were measured: no truth is known there."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
 from needleplan.diagnosis import diagnose
 from needleplan.models import SpatialBicycle
-from needleplan.recording import read_stepwise_insertion
+from needleplan.recording import read_records
 from needleplan.signals import Record, Role
 from tests import pages
 from tests.real.shared import require
@@ -18,7 +16,7 @@ PAGE = pages.ROOT / "docs/explanation/diagnosis.md"
 
 def trial(tissue: str, number: int, role: Role) -> Record:
     """Return a path from the entry: the first step into the tissue is no part of it."""
-    record = read_stepwise_insertion(FOLDER / f"{tissue}_openloop_0{number}.csv")
+    record = read_records(FOLDER / f"{tissue}_openloop_0{number}.csv")[0]
     inside = np.flatnonzero(record["depth_mm"] > 5)[0]
     columns = {name: record[name][inside:] for name in ("depth_mm", "x_mm", "y_mm", "z_mm")}
     for name in ("y_mm", "z_mm"):

@@ -1,7 +1,5 @@
 """Records force samples at 1,000 Hz and prints every number once it has been put, until somebody kills it."""
 
-from __future__ import annotations
-
 import os
 import sys
 import time

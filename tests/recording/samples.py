@@ -1,7 +1,5 @@
 """Samples as devices make them, and recordings of them."""
 
-from __future__ import annotations
-
 import time
 from pathlib import Path
 

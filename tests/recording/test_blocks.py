@@ -1,7 +1,5 @@
 """Columns in blocks, bounded recoveries, and recordings of runs that are killed at once."""
 
-from __future__ import annotations
-
 import struct
 import time
 import zlib

@@ -1,7 +1,5 @@
 """Cut, altered and foreign files are refused, or recovered with a count of what is missing; nothing else happens."""
 
-from __future__ import annotations
-
 import errno
 import io
 from dataclasses import replace

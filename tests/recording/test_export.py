@@ -1,7 +1,5 @@
 """A recording in other formats says the same as the recording."""
 
-from __future__ import annotations
-
 import json
 import sys
 from pathlib import Path

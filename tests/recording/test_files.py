@@ -1,7 +1,5 @@
 """Files of records: what is read is what was written, and every mistake gives one clear message."""
 
-from __future__ import annotations
-
 import io
 from pathlib import Path
 

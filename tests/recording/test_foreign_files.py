@@ -1,7 +1,5 @@
 """Text files of other laboratories: columns by name or number, units, signs, sums, preambles, resets, no velocity."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

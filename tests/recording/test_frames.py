@@ -1,7 +1,5 @@
 """Every record says in which frame it is, and trials of different frames are not mixed."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

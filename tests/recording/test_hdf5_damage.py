@@ -1,7 +1,5 @@
 """A damaged HDF5 file is read or refused in a bounded time; libhdf5 itself may hang or crash on it."""
 
-from __future__ import annotations
-
 import io
 import json
 import os

@@ -1,7 +1,5 @@
 """MATLAB files of trials and tables say the same as the files they come from, also after Octave has written them."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess
@@ -12,8 +10,8 @@ import pytest
 from scipy.io import loadmat, savemat
 
 import needleplan as npl
-from needleplan.errors import ChecksumError, DataError, TableError
-from needleplan.planning import read_mat, write_mat
+from needleplan.errors import DataError
+from needleplan.planning import write_mat
 from needleplan.recording import Recording, parse_records, read_records, write_records
 from needleplan.recording.export import FORMATS
 from needleplan.signals import Record, Role
@@ -108,26 +106,11 @@ def test_the_new_format_of_matlab_is_named() -> None:
         parse_records(b"MATLAB 7.3 MAT-file, Platform: GLNXA64" + bytes(600))
 
 
-def test_a_table_is_the_same_after_writing_and_reading(table: npl.PolicyTable, tmp_path: Path) -> None:
+def test_octave_reads_a_table(table: npl.PolicyTable, tmp_path: Path) -> None:
     write_mat(table, tmp_path / "table.mat")
-    again = read_mat(tmp_path / "table.mat")
-    assert (again.digest, again.stats, again.scenario) == (table.digest, table.stats, table.scenario)
+    content = loadmat(tmp_path / "table.mat")
+    for name in ("values", "policy", "success"):
+        np.testing.assert_array_equal(content[name], getattr(table, name))
+    assert (content["digest"].item(), content["scenario"].item()) == (table.digest, table.scenario.to_toml())
     at = octave("load table.mat; printf('%.9g %d %g', success(11, 21, 1, 2), columns(policy), spacing_mm(2))", tmp_path)
     assert at.split() == [f"{table.success[10, 20, 0, 1]:.9g}", "41", "1"]
-
-
-def test_an_altered_table_is_refused(table: npl.PolicyTable, tmp_path: Path) -> None:
-    write_mat(table, tmp_path / "table.mat")
-    content = {name: each for name, each in loadmat(tmp_path / "table.mat").items() if not name.startswith("__")}
-    savemat(tmp_path / "other.mat", content | {"success": content["success"] / 2})
-    with pytest.raises(ChecksumError, match=r"other\.mat: digest = .*have changed since the table was planned"):
-        read_mat(tmp_path / "other.mat")
-    savemat(tmp_path / "short.mat", content | {"values": content["values"][1:]})
-    with pytest.raises(TableError, match=r"values = \(60, 41, 36, 2\): must have the shape of the scenario"):
-        read_mat(tmp_path / "short.mat")
-    savemat(tmp_path / "none.mat", {"format": "other"})
-    with pytest.raises(TableError, match="the file is no policy table"):
-        read_mat(tmp_path / "none.mat")
-    (tmp_path / "cut.mat").write_bytes((tmp_path / "table.mat").read_bytes()[:5000])
-    with pytest.raises(TableError, match="is damaged"):
-        read_mat(tmp_path / "cut.mat")

@@ -1,7 +1,5 @@
 """`Recording.plot` draws what was recorded, and a recording is shown in one line."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Files of poses and points: own columns, maps, decimal commas, and exports of NDI ToolBox and of ROS."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The recorder never delays or breaks the loop that feeds it, and loses next to nothing when it is killed."""
 
-from __future__ import annotations
-
 import errno
 import math
 import os

@@ -1,7 +1,5 @@
 """The ROS 2 node of the docs, with stand-ins for rclpy, and messages that are as strict as those of ROS 2."""
 
-from __future__ import annotations
-
 import importlib.util
 import math
 import sys

@@ -1,7 +1,5 @@
 """Messages in exported ROS 2 bags have types, and the shipped definitions are those of the recordings."""
 
-from __future__ import annotations
-
 import xml.etree.ElementTree as ET
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Display equations of the explanations have numbers, and the code cites numbers that are there."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Figures in 3D: slices through the target, of equal scale beside each other; paths faint where they are far."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 from typing import Any
 

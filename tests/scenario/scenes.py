@@ -1,7 +1,5 @@
 """Random scenarios for hypothesis."""
 
-from __future__ import annotations
-
 import math
 
 from hypothesis import strategies as st

@@ -1,7 +1,5 @@
 """Every mistake of a scenario file gives one clear message, all of them at once, and never another exception."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Obstacles of every shape: rules, geometry, files, drawings, and plans with them."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Polygons that are simple beyond doubt, against shapely."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 
@@ -9,7 +7,7 @@ import numpy as np
 import pytest
 from shapely import Polygon
 
-from needleplan.scenario import _polygon
+from needleplan.scenario import _shape
 
 
 def random_corners(random: np.random.Generator) -> list[tuple[float, float]]:
@@ -27,7 +25,7 @@ def test_a_polygon_that_is_clearly_simple_is_valid_for_shapely_and_most_simple_o
     for _ in range(5000):
         corners = random_corners(random)
         valid = len(set(corners)) == len(corners) and Polygon(corners).is_valid
-        if _polygon._is_clearly_simple(corners):
+        if _shape._is_clearly_simple(corners):
             clear += 1
             assert valid, corners
         simple += valid
@@ -46,7 +44,7 @@ def test_a_polygon_that_is_clearly_simple_is_valid_for_shapely_and_most_simple_o
     ids=["bow-tie", "folded back", "on one line", "touches an edge", "nearly straight"],
 )
 def test_a_polygon_that_touches_itself_or_nearly_so_is_not_clear(corners: list[tuple[float, float]]) -> None:
-    assert not _polygon._is_clearly_simple(corners)
+    assert not _shape._is_clearly_simple(corners)
 
 
 def test_a_plan_does_not_import_what_it_does_not_need() -> None:

@@ -1,7 +1,5 @@
 """A scenario survives its file, and its numbers follow from it."""
 
-from __future__ import annotations
-
 import copy
 import math
 import pickle

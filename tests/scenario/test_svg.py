@@ -1,7 +1,5 @@
 """Scenarios from drawings in SVG."""
 
-from __future__ import annotations
-
 import cmath
 import math
 import sys

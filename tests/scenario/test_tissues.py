@@ -1,7 +1,5 @@
 """Layers and tissues in a scenario, and identified numbers that go into one."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from typing import Any

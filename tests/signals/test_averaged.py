@@ -1,7 +1,5 @@
 """Motions whose samples are means: models along them against the means of a much finer simulation."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings

@@ -1,7 +1,5 @@
 """Trials from what callers have: tables of columns, files, lists of both; anything else is one clear error."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The motion that drives every model."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from needleplan.signals import Motion

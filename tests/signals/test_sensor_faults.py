@@ -1,7 +1,5 @@
 """Faults of a force sensor: each is found once, and sound readings of all kinds of sensors have none."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

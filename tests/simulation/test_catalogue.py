@@ -1,7 +1,5 @@
 """The lab twin and the models have one catalogue of effects: the same names, ranges and equations."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import fields
 

@@ -1,7 +1,5 @@
 """A lab that follows a robot outside: the needle moves with the positions that the robot reports."""
 
-from __future__ import annotations
-
 import contextlib
 import math
 import socket

@@ -1,7 +1,5 @@
 """A model from a file as the plant: the twin goes where the model says, whatever effects were added to it."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The plant against closed forms, where its effects are absent, and one effect at a time."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

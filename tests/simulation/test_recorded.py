@@ -1,7 +1,5 @@
 """A simulated run as a recording."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """From the lab twin through identification and back to the plant's parameters."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """The lab goes from tick to tick without detours; here it is taken by hand, one thing after the other."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest

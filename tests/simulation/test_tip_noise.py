@@ -1,7 +1,5 @@
 """The lab follows the tip noise of the plan, unless the simulation sets another one; then a remark says both."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Real Dask clusters on this machine: a scheduler and workers as processes of their own, which tests may kill."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import signal

@@ -1,7 +1,5 @@
 """A store of tables that many tests copy."""
 
-from __future__ import annotations
-
 import shutil
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Small sweeps that solve in milliseconds."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import needleplan as npl

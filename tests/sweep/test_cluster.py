@@ -1,7 +1,5 @@
 """Real clusters whose parts fail: nothing is lost, nothing is stored twice, the folder stays readable."""
 
-from __future__ import annotations
-
 import resource
 import signal
 import subprocess

@@ -1,7 +1,5 @@
 """Processes of this machine that a run starts by itself: they die, cannot be closed, are killed or interrupted."""
 
-from __future__ import annotations
-
 import gc
 import os
 import signal

@@ -1,7 +1,5 @@
 """Making a table set in this process: what is solved, what is kept, and what a damaged or foreign folder does."""
 
-from __future__ import annotations
-
 import json
 import os
 import threading

@@ -1,7 +1,5 @@
 """What making a table set in this process tells."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

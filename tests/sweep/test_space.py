@@ -1,7 +1,5 @@
 """Table sets of 3D tables, through small volumes."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

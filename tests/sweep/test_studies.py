@@ -1,7 +1,5 @@
 """Studies: against brute force on invented records, and against the planner on small table sets."""
 
-from __future__ import annotations
-
 import itertools
 import json
 from collections.abc import Callable, Sequence

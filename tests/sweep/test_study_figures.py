@@ -1,7 +1,5 @@
 """Figures of studies: what they say in words, and where their cells and labels lie."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

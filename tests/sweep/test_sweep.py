@@ -1,7 +1,5 @@
 """Sweep files: designs, keys, and every mistake reported."""
 
-from __future__ import annotations
-
 import itertools
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Fixture: `reproduce` uses the chapters of this checkout, not those of an installed package."""
 
-from __future__ import annotations
-
 import tomllib
 from importlib import metadata
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Chapter 3: checks that take seconds; the tables themselves take a minute."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Chapter 5: algebra, signs, and the consistency of the printed numbers."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,16 +1,15 @@
 """Inertia: natural frequencies, and its negligible effect at the speed of an insertion."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
 import pytest
 
 from needleplan.errors import ModelError
-from needleplan.models.deflection import AxialTerms, Beam, solve_exact
+from needleplan.models.deflection import AxialTerms, Beam
 from needleplan_thesis.chapter5.dynamics import Vibration, natural_frequencies_hz, vibrate
 from tests.models.deflection.thesis import NEEDLE, SOFT, STIFF
+from tests.reference.exact_beam import solve_exact
 
 FIRST_ROOT = 1.8751040687119611
 """Roots of cosh(x) cos(x) = -1."""

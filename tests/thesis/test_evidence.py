@@ -1,7 +1,5 @@
 """Every verdict of `needleplan reproduce` states its kind, and none compares a value with itself."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest

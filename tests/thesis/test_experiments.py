@@ -1,7 +1,5 @@
 """The experiments of section 6.5 run in the lab twin, and are compared with the thesis."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """Published results compared with computed ones: checks that need no long solves."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

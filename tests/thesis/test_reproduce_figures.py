@@ -1,7 +1,5 @@
 """Studies and figures of chapter 6 on a small scenario; the look of figures is checked by eye."""
 
-from __future__ import annotations
-
 import csv
 import json
 import math

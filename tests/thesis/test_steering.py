@@ -1,7 +1,5 @@
 """Seeded insertions in the lab twin: their results, statistics and repeatability."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

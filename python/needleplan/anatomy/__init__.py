@@ -29,7 +29,7 @@ from needleplan.anatomy._file import (
     Sphere,
     TissueCurvature,
 )
-from needleplan.anatomy._frame import SpaceFrame, frame_of, nearest_labels, signed_distances
+from needleplan.anatomy._frame import SpaceFrame, frame_of, nearest_labels
 from needleplan.anatomy._grid import AnatomyGrid, grid_of, grids_of
 from needleplan.anatomy._labels import read_color_table, read_volume
 from needleplan.anatomy._limits import HalfSpace, SpaceLimits
@@ -95,7 +95,6 @@ __all__ = [
     "read_volume",
     "require_transform_name",
     "role_by_name",
-    "signed_distances",
     "slice_note",
     "slice_widths",
     "target_slices",

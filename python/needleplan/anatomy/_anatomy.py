@@ -15,7 +15,7 @@ from needleplan.anatomy._breathing import TissueMotion
 from needleplan.anatomy._file import AnatomyFile, AnatomyRegions, Region, Sphere
 from needleplan.anatomy._labels import label_number, read_color_table, read_volume
 from needleplan.anatomy._volume import labels_present
-from needleplan.artifacts import short_html, short_repr
+from needleplan.artifacts import ShortRepr
 from needleplan.config import read_toml
 from needleplan.errors import Mistake, ScenarioError
 
@@ -28,7 +28,7 @@ __all__ = ["Anatomy"]
 
 
 @dataclass(frozen=True, eq=False)
-class Anatomy:
+class Anatomy(ShortRepr):
     """A segmented volume, the meaning of its labels, and the settings of the plan.
 
     Parameters
@@ -62,9 +62,6 @@ class Anatomy:
     motion: TissueMotion | None = None
     exhaled: Anatomy | None = None
     balls: Mapping[Sphere, Sphere] = field(default_factory=dict)
-
-    __repr__ = short_repr
-    _repr_html_ = short_html
 
     def __post_init__(self) -> None:
         if self.exhaled is not None:

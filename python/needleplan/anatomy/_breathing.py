@@ -16,7 +16,7 @@ import numpy as np
 from needleplan.anatomy._labels import LabelsRule, label_number
 from needleplan.anatomy._nifti import read_nifti_vectors
 from needleplan.anatomy._nrrd import read_displacements
-from needleplan.artifacts import short_html, short_repr
+from needleplan.artifacts import ShortRepr
 from needleplan.config import ConfigTable, Number, Numbers, Violation, ruled, sequence
 from needleplan.errors import Mistake, ScenarioError
 
@@ -118,7 +118,7 @@ class Breathing(ConfigTable, key="breathing", error=ScenarioError, between=(_a_s
 
 
 @dataclass(frozen=True, eq=False)
-class DisplacementField:
+class DisplacementField(ShortRepr):
     """Displacements in RAS at a level of inspiration, shape (3, ni, nj, nk).
 
     `affine` leads from their voxels to RAS mm. The unit is the largest displacement at full inspiration.
@@ -127,9 +127,6 @@ class DisplacementField:
     level: float
     values: NDArray[np.float32]
     affine: NDArray[np.float64]
-
-    __repr__ = short_repr
-    _repr_html_ = short_html
 
     def at(self, points_mm: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the displacements at points, shape (n, ..., 3); beyond the field those of its nearest voxel."""
@@ -153,7 +150,7 @@ def _read_fields(file: Path) -> list[tuple[NDArray[np.float32], NDArray[np.float
 
 
 @dataclass(frozen=True, eq=False)
-class TissueMotion:
+class TissueMotion(ShortRepr):
     """The displacement of tissue by breathing.
 
     `labels`: numbers of the labels at rest. `phases`: the fields of displacement by their levels, which increase up to
@@ -163,9 +160,6 @@ class TissueMotion:
     breathing: Breathing
     labels: tuple[int, ...]
     phases: tuple[DisplacementField, ...] = ()
-
-    __repr__ = short_repr
-    _repr_html_ = short_html
 
     @classmethod
     def read(cls, breathing: Breathing, names: Mapping[str, int], folder: str | os.PathLike[str]) -> TissueMotion:

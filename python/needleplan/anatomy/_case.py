@@ -28,9 +28,9 @@ from needleplan.anatomy._markups import POINT_ENDINGS, MarkedPoint, read_points
 from needleplan.anatomy._masks import MASK_ENDINGS, Structure, read_structures, stem_of
 from needleplan.anatomy._roles import StructureRole, role_by_name
 from needleplan.anatomy._volume import LabelVolume
-from needleplan.artifacts import call_repr
+from needleplan.artifacts import CallRepr
 from needleplan.config import suggestion
-from needleplan.errors import Mistake, ScenarioError
+from needleplan.errors import Mistake, ScenarioError, reading
 
 __all__ = ["AnatomyCase", "CaseChoices", "CaseStructure", "read_case"]
 
@@ -45,7 +45,7 @@ _TOLD_ML = 0.05
 
 
 @dataclass(frozen=True)
-class CaseChoices:
+class CaseChoices(CallRepr):
     """Decisions of a person about a folder of segmentations.
 
     Parameters
@@ -66,11 +66,9 @@ class CaseChoices:
     entry_radius_mm: float = 25.0
     roles: dict[str, StructureRole] = field(default_factory=dict)
 
-    __repr__ = call_repr
-
 
 @dataclass(frozen=True)
-class CaseStructure:
+class CaseStructure(CallRepr):
     """A structure of a case: name, file, volume (ml), role and the reason for it."""
 
     name: str
@@ -79,11 +77,9 @@ class CaseStructure:
     role: StructureRole
     reason: str
 
-    __repr__ = call_repr
-
 
 @dataclass(frozen=True, eq=False)
-class AnatomyCase:
+class AnatomyCase(CallRepr):
     """A merged volume with names of its labels, its structures, target and entry region, and notes on the merging."""
 
     volume: LabelVolume
@@ -91,8 +87,6 @@ class AnatomyCase:
     target: str | Sphere
     entry: str | Sphere
     notes: tuple[str, ...]
-
-    __repr__ = call_repr
 
     def named(self, role: StructureRole) -> list[str]:
         """Return the names of the structures with a role.
@@ -181,10 +175,8 @@ def read_case(folder: str | os.PathLike[str], choices: CaseChoices | None = None
 
 def _read_all(folder: Path) -> tuple[list[Structure], list[MarkedPoint]]:
     """Return the structures and the points of a folder. Raises ScenarioError with the mistakes of all files."""
-    try:
+    with reading(folder, ScenarioError):
         files = sorted(each for each in folder.iterdir() if each.is_file() and not each.name.startswith("."))
-    except OSError as error:
-        raise ScenarioError(f"cannot be read: {error.strerror}", str(folder)) from None
     masks = [each for each in files if each.name.lower().endswith(MASK_ENDINGS)]
     if not masks:
         raise ScenarioError(f"has no segmentation: files {', '.join(MASK_ENDINGS)}", str(folder))

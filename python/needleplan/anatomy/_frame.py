@@ -29,7 +29,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from needleplan.anatomy._volume import largest_bytes
-from needleplan.artifacts import short_html, short_repr
+from needleplan.artifacts import ShortRepr
 from needleplan.errors import Mistake, ScenarioError
 
 if TYPE_CHECKING:
@@ -46,7 +46,6 @@ __all__ = [
     "frame_of",
     "nearest_labels",
     "refinement_of",
-    "signed_distances",
 ]
 
 # Anatomical directions against and along R, A and S.
@@ -72,7 +71,7 @@ _FARTHEST_MM = 30.0
 
 
 @dataclass(frozen=True, eq=False)
-class SpaceFrame:
+class SpaceFrame(ShortRepr):
     """Axes and grid of a lattice.
 
     - `origin_mm`: grid point 0 in RAS mm, shape (3,).
@@ -103,9 +102,6 @@ class SpaceFrame:
     axes: NDArray[np.float64]
     spacing_mm: float
     shape: tuple[int, int, int]
-
-    __repr__ = short_repr
-    _repr_html_ = short_html
 
     def world(self, points_mm: ArrayLike) -> NDArray[np.float64]:
         """Return the RAS positions (mm) of points of the frame (mm), shape (..., 3)."""
@@ -297,23 +293,3 @@ def file_distances(volume: LabelVolume, obstacle: NDArray[np.bool_], frame: Spac
     inward = np.asarray(ndimage.distance_transform_edt(np.pad(part, 1), sampling=sizes), np.float32)[1:-1, 1:-1, 1:-1]
     distances = np.where(part, half - inward, np.minimum(outward - half, _FARTHEST_MM))
     return FileDistances(low, distances.astype(np.float32))
-
-
-def signed_distances(volume: LabelVolume, obstacle: NDArray[np.bool_], frame: SpaceFrame) -> NDArray[np.float32]:
-    """Return the distances of the grid points to an obstacle.
-
-    Parameters
-    ----------
-    volume : LabelVolume
-        Volume with the position of the voxels.
-    obstacle : numpy.ndarray
-        Which voxels belong to the obstacle, of the shape of the volume.
-    frame : SpaceFrame
-        Frame with the grid points.
-
-    Returns
-    -------
-    numpy.ndarray
-        Distances (mm, float32), of the shape of the frame; negative inside, at most 30 mm.
-    """
-    return file_distances(volume, obstacle, frame).at_points(volume, frame)

@@ -25,7 +25,7 @@ from needleplan.anatomy._voxels import (
     lattice_voxels,
     possible_cells,
 )
-from needleplan.artifacts import short_html, short_repr
+from needleplan.artifacts import ShortRepr
 from needleplan.errors import Mistake, ScenarioError
 
 if TYPE_CHECKING:
@@ -39,7 +39,7 @@ __all__ = ["FREE", "OBSTACLE", "OUTSIDE", "TARGET", "AnatomyGrid", "grid_of", "g
 
 
 @dataclass(frozen=True, eq=False)
-class AnatomyGrid:
+class AnatomyGrid(ShortRepr):
     """Obstacles, target, entry points and tissues on a lattice of the shape (nx, ny, nz).
 
     - `voxels`: 0 free, 1 target, 2 obstacle (grown by margin and needle), 3 outside of volume or body, in r^3 voxels
@@ -62,9 +62,6 @@ class AnatomyGrid:
     radii_mm: tuple[float, ...]
     target: TargetBody
     loss: LatticeLoss | None = None
-
-    __repr__ = short_repr
-    _repr_html_ = short_html
 
     @property
     def refinement(self) -> int:

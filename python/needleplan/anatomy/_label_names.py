@@ -9,7 +9,7 @@ from pathlib import Path
 
 from needleplan.anatomy._labels import read_color_table
 from needleplan.anatomy._volume import is_label
-from needleplan.errors import Mistake, ScenarioError
+from needleplan.errors import Mistake, ScenarioError, reading
 
 __all__ = ["BETWEEN", "OUTSIDE", "TABLE_ENDINGS", "name_mistakes", "read_label_names", "table_name"]
 
@@ -30,10 +30,8 @@ def read_label_names(file: Path) -> dict[str, int]:
     if file.suffix.lower() == ".ctbl":
         return read_color_table(file)
     source = str(file)
-    try:
+    with reading(source, ScenarioError):
         lines = file.read_text(encoding="utf-8-sig").splitlines()
-    except (OSError, ValueError) as error:
-        raise ScenarioError(f"cannot be read: {getattr(error, 'strerror', None) or error}", source) from None
     rows = _of_slicer(lines, source) if file.suffix.lower() == ".csv" else _of_snap(lines, source)
     names: dict[str, int] = {}
     for number, name in rows:

@@ -14,7 +14,7 @@ from needleplan.anatomy._nifti import read_nifti
 from needleplan.anatomy._nrrd import read_nrrd
 from needleplan.anatomy._volume import is_label
 from needleplan.config import Violation, sequence, suggestion
-from needleplan.errors import Mistake, ScenarioError
+from needleplan.errors import Mistake, ScenarioError, reading
 
 if TYPE_CHECKING:
     import os
@@ -92,9 +92,8 @@ def read_labels(file: Path) -> LabelVolume:
     if read is None:
         raise ScenarioError(f"the name of a volume must end in {', '.join(_READERS)}", source)
     try:
-        return read(file)
-    except (OSError, ValueError) as error:
-        raise ScenarioError(f"cannot be read: {getattr(error, 'strerror', None) or error}", source) from None
+        with reading(source, ScenarioError):
+            return read(file)
     except MemoryError:
         raise ScenarioError("does not fit into the memory: crop or resample it", source) from None
 
@@ -136,10 +135,8 @@ def read_color_table(path: str | os.PathLike[str]) -> dict[str, int]:
     {'air': 0, 'liver': 1}
     """
     source = str(path)
-    try:
+    with reading(source, ScenarioError):
         lines = Path(path).read_text(encoding="utf-8").splitlines()
-    except (OSError, ValueError) as error:
-        raise ScenarioError(f"cannot be read: {getattr(error, 'strerror', None) or error}", source) from None
     names: dict[str, int] = {}
     found: dict[int, str] = {}
     mistakes = []

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from needleplan.errors import Mistake, ScenarioError
+from needleplan.errors import Mistake, ScenarioError, reading
 
 __all__ = ["POINT_ENDINGS", "MarkedPoint", "read_points"]
 
@@ -34,10 +34,8 @@ class MarkedPoint:
 def read_points(file: Path) -> list[MarkedPoint]:
     """Return the points of a file that have a position. Raises ScenarioError if it is wrong."""
     source = str(file)
-    try:
+    with reading(source, ScenarioError):
         text = file.read_text(encoding="utf-8-sig")
-    except (OSError, ValueError) as error:
-        raise ScenarioError(f"cannot be read: {getattr(error, 'strerror', None) or error}", source) from None
     points = _of_json if file.name.lower().endswith(".json") else _of_list
     return list(points(text, source))
 

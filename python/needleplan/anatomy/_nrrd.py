@@ -13,7 +13,7 @@ import numpy as np
 
 from needleplan.anatomy._bytes import counted_bytes, exact_bytes, require_size
 from needleplan.anatomy._volume import LabelVolume, is_label, whole_labels
-from needleplan.errors import Mistake, ScenarioError
+from needleplan.errors import Mistake, ScenarioError, reading
 
 __all__ = ["is_layered", "read_displacements", "read_layers", "read_nrrd"]
 
@@ -64,11 +64,8 @@ def is_layered(path: Path) -> bool:
     """
     if not path.name.lower().endswith((".nrrd", ".nhdr")):
         return False
-    try:
-        with path.open("rb") as stream:
-            header = _header(stream, str(path))
-    except OSError as error:
-        raise ScenarioError(f"cannot be read: {error.strerror}", str(path)) from None
+    with reading(path, ScenarioError), path.open("rb") as stream:
+        header = _header(stream, str(path))
     return len(header.get("sizes", ())) == _LAYERED
 
 

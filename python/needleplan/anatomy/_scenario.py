@@ -14,7 +14,7 @@ from needleplan.anatomy._drawing import Rectangle, draw_slice, target_slices
 from needleplan.anatomy._file import AnatomyFile, SpaceNeedle, Sphere
 from needleplan.anatomy._grid import AnatomyGrid, grid_of, grids_of
 from needleplan.anatomy._voxels import FREE, OUTSIDE, TARGET
-from needleplan.artifacts import digest, short_html, short_repr
+from needleplan.artifacts import ShortRepr, digest
 from needleplan.errors import Mistake, ScenarioError
 from needleplan.plotting import axes_or_new
 
@@ -31,7 +31,7 @@ _NOISE_LENGTH_MM = 10.0
 
 
 @dataclass(frozen=True, eq=False)
-class SpaceScenario:
+class SpaceScenario(ShortRepr):
     """The counterpart of `Scenario` in 3D. It holds all that a plan needs, without the volume.
 
     Positions are in the frame of the lattice (mm): x along the insertion, y and z across.
@@ -49,9 +49,6 @@ class SpaceScenario:
     file: AnatomyFile
     grid: AnatomyGrid
     source: str = field(default="", compare=False)
-
-    __repr__ = short_repr
-    _repr_html_ = short_html
 
     @classmethod
     def of(cls, anatomy: Anatomy, target_name: str | None = None) -> SpaceScenario:

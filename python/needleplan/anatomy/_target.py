@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from needleplan.anatomy._file import Region, Sphere
-from needleplan.artifacts import short_html, short_repr
+from needleplan.artifacts import ShortRepr
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -24,7 +24,7 @@ __all__ = ["TargetBody"]
 
 
 @dataclass(frozen=True, eq=False)
-class TargetBody:
+class TargetBody(ShortRepr):
     """The volume of a target in a frame.
 
     `ball`: centre and radius (mm), shape (4,); None if the target is a label. For a label, `inside`, shape (a, b, c),
@@ -35,9 +35,6 @@ class TargetBody:
     ball: tuple[float, float, float, float] | None
     rows: NDArray[np.float64]
     inside: NDArray[np.uint8]
-
-    __repr__ = short_repr
-    _repr_html_ = short_html
 
     @classmethod
     def of_ball(cls, frame: SpaceFrame, ball: Sphere) -> TargetBody:

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from needleplan.artifacts import short_html, short_repr
+from needleplan.artifacts import ShortRepr
 from needleplan.errors import Mistake, ScenarioError
 
 if TYPE_CHECKING:
@@ -39,7 +39,7 @@ _ASSUMED_MEMORY = 8 * 2**30
 
 
 @dataclass(frozen=True, eq=False)
-class LabelVolume:
+class LabelVolume(ShortRepr):
     """A volume of labels.
 
     Parameters
@@ -73,9 +73,6 @@ class LabelVolume:
     affine: NDArray[np.float64]
     names: dict[str, int] = field(default_factory=dict)
     source: str = ""
-
-    __repr__ = short_repr
-    _repr_html_ = short_html
 
     def __post_init__(self) -> None:
         mistakes = orientation_mistakes(np.asarray(self.affine))

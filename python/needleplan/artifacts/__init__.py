@@ -6,7 +6,9 @@ from needleplan.artifacts.file_kinds import (
     FileKind,
     file_format,
     other_kind,
+    path_text,
     present_format,
+    relative_path,
     version_advice,
 )
 from needleplan.artifacts.files import (
@@ -26,17 +28,17 @@ from needleplan.artifacts.files import (
     whole_file,
     write_whole,
 )
-from needleplan.artifacts.path_text import path_text, relative_path
 from needleplan.artifacts.read_files import may_replace, recorded_reads, require_unread, was_read
-from needleplan.artifacts.short_repr import MOST_CHARACTERS, call_repr, short_html, short_repr
+from needleplan.artifacts.short_repr import MOST_CHARACTERS, CallRepr, ShortRepr, short_html, short_repr
 
 __all__ = [
     "FORMATS",
     "MOST_CHARACTERS",
+    "CallRepr",
     "FileFormat",
     "FileKind",
     "Parent",
-    "call_repr",
+    "ShortRepr",
     "digest",
     "expect_new",
     "file_format",

@@ -12,8 +12,21 @@ import re
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
+from typing import Any
 
-__all__ = ["FORMATS", "FileFormat", "FileKind", "file_format", "other_kind", "present_format", "version_advice"]
+from needleplan.errors import InputError, Mistake
+
+__all__ = [
+    "FORMATS",
+    "FileFormat",
+    "FileKind",
+    "file_format",
+    "other_kind",
+    "path_text",
+    "present_format",
+    "relative_path",
+    "version_advice",
+]
 
 
 class FileKind(StrEnum):
@@ -79,6 +92,9 @@ _BEGINNINGS = {
     b"MATLAB ": FileKind.DATA,
 }
 
+# Length of the text of a wrong path beyond which its class is named instead.
+_LONGEST = 60
+
 # Number of bytes within which a file names its schema, or has the first tables of a TOML file.
 _HEAD_BYTES = 65536
 _SEAL = re.compile(rb"(needleplan\.[a-z-]+/[0-9]+) ")
@@ -95,6 +111,66 @@ class FileFormat:
 
     kind: FileKind | None = None
     schema: str = ""
+
+
+def path_text(path: Any, error: type[InputError], kind: str = "a file") -> str:
+    """Return a path as text.
+
+    Parameters
+    ----------
+    path : str or path
+        The path, as a caller gave it.
+    error : type
+        Class of the error that is raised.
+    kind : str, default "a file"
+        What the path is of, in the message.
+
+    Returns
+    -------
+    str
+
+    Raises
+    ------
+    InputError
+        `path` is empty, or neither a text nor a path. The class is `error`.
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> from needleplan.artifacts import path_text
+    >>> from needleplan.errors import InputError
+    >>> path_text(Path("table.h5"), InputError)
+    'table.h5'
+    """
+    text = os.fspath(path) if isinstance(path, str | os.PathLike) else None
+    if not isinstance(text, str) or not text:
+        shown = repr(path)
+        # The text of a table or an array has several lines.
+        shown = f"<{type(path).__name__}>" if len(shown) > _LONGEST or "\n" in shown else shown
+        raise error(Mistake("path", shown, f"must be the path of {kind}"))
+    return text
+
+
+def relative_path(file: str | os.PathLike[str], folder: str | os.PathLike[str]) -> str:
+    """Return the path of a file relative to a folder, with slashes.
+
+    Parameters
+    ----------
+    file : path
+        The file.
+    folder : path
+        The folder.
+
+    Returns
+    -------
+    str
+        The relative path; the whole path if they are on different drives.
+    """
+    whole = Path(file).resolve()
+    try:
+        return Path(os.path.relpath(whole, Path(folder).resolve())).as_posix()
+    except ValueError:
+        return whole.as_posix()
 
 
 def file_format(path: str | os.PathLike[str]) -> FileFormat:

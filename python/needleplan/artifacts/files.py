@@ -14,10 +14,10 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from needleplan.artifacts.path_text import path_text
+from needleplan.artifacts.file_kinds import path_text
 from needleplan.artifacts.read_files import was_read
-from needleplan.artifacts.short_repr import short_html
-from needleplan.errors import InputError, Mistake, OutputError
+from needleplan.artifacts.short_repr import CallRepr
+from needleplan.errors import InputError, Mistake, OutputError, reading
 
 __all__ = [
     "Parent",
@@ -50,7 +50,7 @@ _unfinished: set[Path] = set()
 
 
 @dataclass(frozen=True)
-class Parent:
+class Parent(CallRepr):
     """An artefact from which another artefact was made.
 
     Parameters
@@ -73,8 +73,6 @@ class Parent:
     digest: str
     file: str = ""
 
-    _repr_html_ = short_html
-
 
 def digest(content: str | bytes | memoryview) -> str:
     """Return the SHA-256 digest of a text (as UTF-8) or of bytes: `sha256:` and 64 hexadecimal digits."""
@@ -87,12 +85,8 @@ def read_key(path: str | os.PathLike[str]) -> bytes:
 
     Raises InputError if the file cannot be read or the key is shorter than 16 bytes.
     """
-    try:
-        with Path(path).open("rb") as stream:
-            key = stream.read(2**16).strip()
-    except (OSError, ValueError) as error:
-        reason = getattr(error, "strerror", None) or error
-        raise InputError(f"cannot be read: {reason}", os.fspath(path)) from error
+    with reading(path), Path(path).open("rb") as stream:
+        key = stream.read(2**16).strip()
     try:
         require_key(key)
     except InputError as error:

@@ -1,4 +1,4 @@
-"""`short_repr` and `short_html`: what objects that hold arrays or many values show, in a line or in a notebook."""
+"""`CallRepr` and `ShortRepr`: what objects show, in a line of less than 200 characters or in a notebook."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from enum import Enum
 from html import escape
 from typing import Any
 
-__all__ = ["MOST_CHARACTERS", "call_repr", "short_html", "short_repr"]
+__all__ = ["MOST_CHARACTERS", "CallRepr", "ShortRepr", "short_html", "short_repr"]
 
 MOST_CHARACTERS = 200
 """Length below which every repr stays."""
@@ -21,8 +21,7 @@ def short_repr(self: Any) -> str:
     """Return class and fields of a dataclass or a named tuple, such as `<Record: trial 'a', role train>`.
 
     Shapes stand for arrays, keys or their number for mappings, the number of values for long sequences, and class names
-    for objects. Empty fields are left out, and those that do not fit, with "...". A class takes it by
-    `__repr__ = short_repr`.
+    for objects. Empty fields are left out, and those that do not fit, with "...".
     """
     parts = [f"{name} {text}" for name, text in _shown(self)]
     kept, length = [], len(f"<{type(self).__name__}: , ...>")
@@ -35,26 +34,39 @@ def short_repr(self: Any) -> str:
     return f"<{type(self).__name__}: {', '.join(kept)}>"
 
 
-def call_repr(self: Any) -> str:
-    """Return the call that makes a dataclass, such as `Target(center_mm=(100.0, 50.0), radius_mm=2.0)`.
-
-    A call that is too long becomes `short_repr`. A base class sets it in `__init_subclass__`, since every dataclass
-    without a `__repr__` of its own gets one of any length.
-    """
-    if not is_dataclass(self):
-        return object.__repr__(self)
-    call = ", ".join(f"{field.name}={getattr(self, field.name)!r}" for field in fields(self) if field.repr)
-    text = f"{type(self).__name__}({call})"
-    return text if len(text) < MOST_CHARACTERS and "\n" not in text else short_repr(self)
-
-
 def short_html(self: Any) -> str:
-    """Return an HTML table for a notebook: the class name, and one row for each field of a dataclass or named tuple.
-
-    A class uses this function as its method: `_repr_html_ = short_html`.
-    """
+    """Return an HTML table for a notebook: the class name, and one row for each field of a dataclass or named tuple."""
     rows = "".join(f"<tr><th>{escape(name)}</th><td>{escape(text)}</td></tr>" for name, text in _shown(self))
     return f"<table><caption>{type(self).__name__}</caption>{rows}</table>"
+
+
+class CallRepr:
+    """Base class of dataclasses: shows the call that makes one, or a summary if it is long; a table in a notebook."""
+
+    __slots__ = ()
+
+    _repr_html_ = short_html
+
+    def __init_subclass__(cls, **options: Any) -> None:
+        super().__init_subclass__(**options)
+        # A dataclass gets a `__repr__` of any length, unless its own class has one. An assignment would hide the types
+        # from editors.
+        type.__setattr__(cls, "__repr__", cls.__repr__)
+
+    def __repr__(self) -> str:
+        if not is_dataclass(self):
+            return object.__repr__(self)
+        call = ", ".join(f"{field.name}={getattr(self, field.name)!r}" for field in fields(self) if field.repr)
+        text = f"{type(self).__name__}({call})"
+        return text if len(text) < MOST_CHARACTERS and "\n" not in text else short_repr(self)
+
+
+class ShortRepr(CallRepr):
+    """Base class of dataclasses that hold arrays or many values: shows a summary; a table in a notebook."""
+
+    __slots__ = ()
+
+    __repr__ = short_repr
 
 
 def _shown(self: Any) -> list[tuple[str, str]]:

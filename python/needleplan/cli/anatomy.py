@@ -16,7 +16,7 @@ from needleplan.cli.lattice_report import breath_lines, lattice_record, lattice_
 from needleplan.cli.options import require_ending, require_inputs_kept, require_outputs
 from needleplan.cli.parser import Parser
 from needleplan.cli.streams import one_line
-from needleplan.cli.uncertainty import promise_lines, promise_record, promised, read_error, read_uncertainty
+from needleplan.cli.uncertainty import promise_lines, promise_record, promised, read_registered, read_uncertainty
 from needleplan.errors import InputError, Mistake
 
 if TYPE_CHECKING:
@@ -121,9 +121,9 @@ def run_table_entries(table: SpaceTable, options: argparse.Namespace) -> int:
 
 
 def _uncertainty(options: argparse.Namespace) -> Uncertainty:
-    """Return what is not known exactly. Raises InputError also for an option that several targets need."""
+    """Return the uncertainty that the options state. Raises InputError also for an option that several targets need."""
     _refuse(options, {"--rank": None}, "holds for an anatomy with several targets, and this has one")
-    return read_uncertainty(options, read_error(options.registration))
+    return read_uncertainty(options, read_registered(options.registration))
 
 
 def _require_options(options: argparse.Namespace) -> None:

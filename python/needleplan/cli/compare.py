@@ -1,17 +1,18 @@
-"""`needleplan compare`: the gap between a model and recordings, with and without the effects of the model."""
+"""`needleplan compare`: what a model or a plan predicts, beside recordings."""
 
 from __future__ import annotations
 
 import argparse
 from dataclasses import asdict
 from pathlib import Path
+from statistics import median
 from typing import Any
 
 from needleplan.cli.answer import print_json, working
-from needleplan.cli.data_options import add_data, naming, read_data
+from needleplan.cli.data_options import add_data, naming, read_data, wrong_for_plans
 from needleplan.cli.options import add_answer
 from needleplan.cli.streams import one_line
-from needleplan.errors import InputError, Mistake
+from needleplan.errors import InputError
 
 __all__ = ["add_to", "run"]
 
@@ -20,12 +21,12 @@ def add_to(commands: Any) -> None:
     """Add this command and its options to the program's parser."""
     parser: argparse.ArgumentParser = commands.add_parser(
         "compare",
-        help="measure how far a model, with its effects and without, or the claims of a plan are from recordings",
-        description="Compare a model with recordings: for each trial the RMS of the gap with all effects of the model "
-        "and without them, the RMS of the noise, and the share of the gap that the effects explain. Or compare a table "
-        "with recordings of insertions: success, curvature, tip noise and plane, as planned and as measured, with 95 % "
-        "intervals. Writes nothing. Exit code 0: the effects make the gap of every trial smaller, or the model has "
-        "none, or all claims of the plan hold; 1: not so.",
+        help="compare the predictions of a model or of a plan with recordings",
+        description="Compare predictions with recordings. A model predicts each trial: the RMS of the gap with all "
+        "effects of the model and without them, the RMS of the noise, and the share of the gap that the effects "
+        "explain. A plan predicts insertions: success, curvature, tip noise and plane, as planned and as measured, "
+        "with 95 % intervals. Writes nothing. Exit code 0: the effects make the gap of every trial smaller, or the "
+        "model has none, or all predictions of the plan hold; 1: not so.",
     )
     parser.add_argument("model", metavar="MODEL|TABLE.h5", help="a model file, such as that of a diagnosis, or a table")
     add_data(parser)
@@ -68,17 +69,17 @@ def run(options: argparse.Namespace) -> int:
 def _plan(options: argparse.Namespace) -> int:
     """Compare the claims of a table with recorded insertions. Return 0 if all of them hold, else 1."""
     from needleplan.artifacts import json_values
+    from needleplan.control import recorded_coil_mm
     from needleplan.diagnosis.plan_claims import compare_plan
     from needleplan.planning import Table
     from needleplan.recording import Recording
 
-    names = ("holdout", "noise", "reference", "columns", "surface", "rate", "frame", "accept_units", "fit")
-    # a number 0 is given; None, False and an empty list are not
-    given = [name.replace("_", "-") for name in names if (value := getattr(options, name)) or isinstance(value, float)]
-    if given:
-        raise InputError([Mistake(f"--{name}", "", "is for models; a table needs recordings alone") for name in given])
+    if mistakes := wrong_for_plans(options, "a plan is compared with recordings alone"):
+        raise InputError(mistakes)
     with working(options, "comparing"):
-        found = compare_plan(Table.read(options.model), [Recording.read(file) for file in options.data])
+        table, recordings = Table.read(options.model), [Recording.read(file) for file in options.data]
+        coils = [coil_mm for recording in recordings if (coil_mm := recorded_coil_mm(recording)) is not None]
+        found = compare_plan(table, recordings, median(coils) if coils else 0.0)
     if options.json:
         claims = [asdict(claim) | {"holds": claim.holds} for claim in found.claims]
         record = {"table": options.model, "runs": found.runs, "ok": found.ok, "claims": claims}

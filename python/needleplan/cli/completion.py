@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -26,8 +25,8 @@ _SHIPPED = {
 }
 
 
-def add_to(commands: Any, make_parser: Callable[[], argparse.ArgumentParser]) -> None:
-    """Add this command to the program's parser. `make_parser` returns the parser of the whole program."""
+def add_to(commands: Any) -> None:
+    """Add this command and its options to the program's parser."""
     parser: argparse.ArgumentParser = commands.add_parser(
         "completion",
         help="print a script that completes commands, options, files and names in a shell",
@@ -36,7 +35,7 @@ def add_to(commands: Any, make_parser: Callable[[], argparse.ArgumentParser]) ->
         "fish: write it to ~/.config/fish/completions/needleplan.fish.",
     )
     parser.add_argument("shell", choices=SHELLS, metavar="SHELL", help="bash, zsh or fish")
-    parser.set_defaults(run=lambda options: _run(options, make_parser()))
+    parser.set_defaults(run=_run)
 
 
 def completion(shell: str, parser: argparse.ArgumentParser) -> str:
@@ -50,8 +49,10 @@ def completion(shell: str, parser: argparse.ArgumentParser) -> str:
     return script
 
 
-def _run(options: argparse.Namespace, parser: argparse.ArgumentParser) -> int:
-    print(completion(options.shell, parser))
+def _run(options: argparse.Namespace) -> int:
+    from needleplan.cli.program import make_parser
+
+    print(completion(options.shell, make_parser()))
     return 0
 
 

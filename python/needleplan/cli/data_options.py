@@ -14,7 +14,13 @@ from needleplan.errors import InputError, Mistake, ModelError
 if TYPE_CHECKING:
     from needleplan.signals import Record, Role
 
-__all__ = ["add_data", "add_reading", "data_files", "naming", "read_data", "read_files"]
+__all__ = ["add_data", "add_reading", "data_files", "naming", "read_data", "read_files", "wrong_for_plans"]
+
+# Options that hold for trials of a model, with their defaults. Plans are compared with recordings, which need none.
+_OF_MODELS = {
+    "holdout": [], "noise": [], "reference": [], "without_references": False, "rate": None, "accept_units": False,
+    "columns": None, "surface": None, "frame": None, "scenario": None, "fit": False,
+}  # fmt: skip
 
 
 @contextmanager
@@ -61,6 +67,15 @@ def add_reading(parser: argparse.ArgumentParser) -> None:
         help="frame of the files that do not say it: guide, surface, tracker or plan; with an origin, as in "
         "surface:entry. Trials of different frames are refused",
     )  # fmt: skip
+
+
+def wrong_for_plans(options: argparse.Namespace, reason: str, permitted: Sequence[str] = ()) -> list[Mistake]:
+    """Return a mistake for each given option that holds for models only, except those permitted."""
+    return [
+        Mistake(f"--{name.replace('_', '-')}", "" if value is True else f"{value}", f"is for models: {reason}")
+        for name, default in _OF_MODELS.items()
+        if name not in permitted and (value := getattr(options, name, default)) != default
+    ]
 
 
 def data_files(options: argparse.Namespace) -> list[str]:

@@ -16,6 +16,7 @@ from needleplan.cli.insert_options import add_insert_options
 from needleplan.cli.insert_plan import InsertPlan, read_insert_plan, read_insert_table_set
 from needleplan.cli.insert_registration import read_judged
 from needleplan.cli.interrupt import handled_signals, needle_moves
+from needleplan.cli.needle_sensors import opened_sensors, read_addressed_sensors
 from needleplan.cli.options import (
     add_table,
     numbers,
@@ -69,7 +70,13 @@ def run(options: argparse.Namespace) -> int:
     moves, or its rest is unknown; 130: stopped. Raises InputError (OutputError, AddressError and others) for wrong
     options and files.
     """
-    from needleplan.simulation import SimulatedStation, are_simulated, open_insertion_station, tip_noise_remark
+    from needleplan.simulation import (
+        SimulatedStation,
+        are_simulated,
+        open_insertion_station,
+        simulated_coil_mm,
+        tip_noise_remark,
+    )
 
     read = (options.table, options.registration, options.scenario, options.needle, options.limits)
     require_outputs(options, read, options.output, options.vtp)
@@ -85,10 +92,11 @@ def run(options: argparse.Namespace) -> int:
     setup, hook = _setup(options, plan), require_estop(options.estop)
     for line in plan.warnings(options, safety_limits(options).force_n):
         note(f"warning: {line}")
-    for line in plan.make_promise(options):
+    simulated = are_simulated(robot, force, tracker)
+    for line in plan.make_promise(options, simulated_coil_mm(robot) if simulated else None):
         note(line)
     require_inputs_kept(options)
-    simulated = are_simulated(robot, force, tracker)
+    fibre, plane = read_addressed_sensors(options, simulated=simulated)
     if not simulated and not options.registration:
         rule = "is missing: real devices require a registration; see `needleplan register`"
         raise AddressError(Mistake("--registration", "", rule))
@@ -104,7 +112,12 @@ def run(options: argparse.Namespace) -> int:
     report: InsertionReport | None = None
     with ExitStack() as signals:
         try:
-            with open_insertion_station(robot, force, tracker, plan.table, plan.start, motion) as station:
+            with (
+                opened_sensors(options, fibre) as more,
+                open_insertion_station(robot, force, tracker, plan.table, plan.start, motion) as station,
+            ):
+                if more:
+                    station.more, station.fibre, station.plane = more, fibre, plane
                 lab = station if isinstance(station, SimulatedStation) else None
                 if lab and (remark := tip_noise_remark(lab.lab.plant.setup)):
                     note(remark)
@@ -245,6 +258,8 @@ def _setup(options: argparse.Namespace, plan: InsertPlan) -> Any:
         settings = plan.tip_settings(noise)
         if lab:
             settings = replace(settings, image_latency_s=lab.lab.plant.setup.effects.ultrasound_delay_s)
+        elif options.image_delay:
+            settings = replace(settings, image_latency_s=options.image_delay)
         accepted = options.accept_limits or ""
         return RunSetup(complete, limits, placed, settings, accepted, station.fibre, station.plane)
 

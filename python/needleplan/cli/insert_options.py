@@ -6,6 +6,7 @@ import argparse
 import math
 
 from needleplan.cli.estop import add_estop
+from needleplan.cli.needle_sensors import add_needle_sensors
 from needleplan.cli.options import add_answer, add_figure, add_limits, add_output, add_start
 from needleplan.cli.parser import Parser
 from needleplan.cli.push import PUSH_FORM, PUSH_HELP
@@ -19,6 +20,7 @@ _ROTATION_DEG_S = math.degrees(3.0)  # default speed of the needle's rotation
 def add_insert_options(parser: Parser) -> None:
     """Declare the options, apart from those that all commands with a policy table have."""
     _add_devices(parser.add_argument_group("devices"))
+    _add_sensors(parser.add_argument_group("sensors besides the tracker"))
     _add_plan(parser.add_argument_group("plan"))
     add_uncertainty(parser, registration=False)
     _add_safety(parser.add_argument_group("safety"))
@@ -64,6 +66,14 @@ def _add_devices(group: argparse._ArgumentGroup) -> None:
         "--roll-left-deg", type=float, metavar="DEG", default=0.0,
         help="roll of the stage, in degrees, at which the needle bends left (default: 0)",
     )  # fmt: skip
+
+
+def _add_sensors(group: argparse._ArgumentGroup) -> None:
+    group.add_argument(
+        "--fibre", metavar="URL", help="curvatures along the needle as NDARRAY: igtl://host/NAME, with --sensors"
+    )
+    group.add_argument("--images", metavar="URL", help="tip in images as POINT: igtl://host/NAME, with --image-plane")
+    add_needle_sensors(group, "plan")
 
 
 def _add_plan(group: argparse._ArgumentGroup) -> None:

@@ -8,8 +8,8 @@ from abc import ABC, abstractmethod
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
-from needleplan.cli.options import read_any_table
-from needleplan.cli.uncertainty import promise_lines, promised, read_error, read_model, read_uncertainty
+from needleplan.cli.options import read_table
+from needleplan.cli.uncertainty import promise_lines, promised, read_model, read_registered, read_uncertainty
 from needleplan.errors import InputError, Mistake, SweepError
 
 if TYPE_CHECKING:
@@ -69,16 +69,22 @@ class InsertPlan(ABC):
     def success(self) -> Success:
         """Return the success of the plan from the start, from the same source as `plan` and `entry`."""
 
-    def make_promise(self, options: argparse.Namespace) -> Iterator[str]:
-        """Compute the promise from the start with the errors that the options and files state; yield its lines."""
-        error = read_error(options.registration)
+    def make_promise(self, options: argparse.Namespace, coil_mm: float | None = None) -> Iterator[str]:
+        """Compute the promise from the start with the errors that the options and files state; yield its lines.
+
+        `coil_mm` is the distance of the coil behind the tip in a simulated lab.
+        """
+        registered = read_registered(options.registration)
+        if coil_mm is not None:
+            registered.setdefault("coil_mm", coil_mm)
         planned_per_mm = 1 / self.table.scenario.needle.curvature_radius_mm if self.model else None
-        self.promise = promised(self.table, read_uncertainty(options, error, self.model, planned_per_mm), self.start)
+        uncertainty = read_uncertainty(options, registered, self.model, planned_per_mm)
+        self.promise = promised(self.table, uncertainty, self.start)
         yield from (f"{name}: {line}" for name, line in promise_lines(self.promise).items())
 
     @abstractmethod
     def tip_settings(self, noise_rad_sqrt_mm: float | None = None) -> TipSettings:
-        """Return the settings of the tip filter; without the tip noise of a lab, that of the plan."""
+        """Return the settings of the tip filter, with the tip noise of the lab, or else of the plan."""
 
     @abstractmethod
     def placed(self, registration: Registration) -> Registration:
@@ -136,7 +142,7 @@ class PlaneInsertPlan(InsertPlan):
 
     @property
     def expected_start(self) -> tuple[float, ...]:
-        """x_mm, y_mm and heading_rad."""
+        """Pose at which the insertion starts: x_mm, y_mm and heading_rad."""
         return self.start.x_mm, self.start.y_mm, self.start.heading_rad
 
     def success(self) -> Success:
@@ -186,7 +192,7 @@ class PlaneInsertPlan(InsertPlan):
 
 
 class SpaceInsertPlan(InsertPlan):
-    """A 3D table. The frame of the plan is that of the lattice; registrations of a user lead to RAS."""
+    """A 3D table. The plan uses the frame of the lattice; a registration by the user leads to RAS."""
 
     table: SpaceTable
     start: SpacePose
@@ -198,7 +204,7 @@ class SpaceInsertPlan(InsertPlan):
 
     @property
     def expected_start(self) -> tuple[float, ...]:
-        """x_mm, y_mm, heading_rad, z_mm and elevation_rad."""
+        """Pose at which the insertion starts: x_mm, y_mm, heading_rad, z_mm and elevation_rad."""
         heading, elevation = self.start.angles_rad
         return self.start.x_mm, self.start.y_mm, heading, self.start.z_mm, elevation
 
@@ -275,7 +281,7 @@ class SpaceInsertPlan(InsertPlan):
 
 def read_insert_plan(options: argparse.Namespace) -> InsertPlan:
     """Read the table that the options name, and check that it fits them. Raises InputError."""
-    table = read_any_table(options)
+    table = read_table(options)
     found: InsertPlan = insert_plan_class(table)(table, options)
     return found
 

@@ -6,9 +6,9 @@ import argparse
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from needleplan.artifacts import call_repr
+from needleplan.artifacts import CallRepr
 from needleplan.cli.answer import note
-from needleplan.cli.data_options import data_files
+from needleplan.cli.data_options import data_files, wrong_for_plans
 from needleplan.errors import InputError, Mistake
 
 if TYPE_CHECKING:
@@ -20,27 +20,16 @@ if TYPE_CHECKING:
 __all__ = ["DiagnosedInsertions", "read_insertions"]
 
 _RECORDING = ".mcap"
-# Options for files that are not recordings, with their defaults.
-_FILES_ONLY = {
-    "scenario": None,
-    "surface": None,
-    "columns": None,
-    "frame": None,
-    "accept_units": False,
-    "without_references": False,
-}
 
 
 @dataclass(frozen=True, eq=False)
-class DiagnosedInsertions:
+class DiagnosedInsertions(CallRepr):
     """Trials of a diagnosis, the plan and its model of the path, and the paths of the training trials."""
 
     scenario: SpaceScenario
     file: ModelFile
     records: list[Record]
     training: list[InsertionPath]
-
-    __repr__ = call_repr
 
 
 def read_insertions(options: argparse.Namespace) -> DiagnosedInsertions:
@@ -53,13 +42,9 @@ def read_insertions(options: argparse.Namespace) -> DiagnosedInsertions:
     from needleplan.reports.diagnosis.diagnosed_anatomy import planned_path_model
     from needleplan.signals import Role
 
-    mistakes = [
-        Mistake(f"--{name.replace('_', '-')}", f"{value}", "is for models: the model is an anatomy")
-        for name, default in _FILES_ONLY.items()
-        if (value := getattr(options, name)) != default
-    ]
     rule = "must be a recording (.mcap) of `insert`, of `simulate` for --noise: the model is an anatomy"
     files = data_files(options)
+    mistakes = wrong_for_plans(options, "the model is an anatomy", ("holdout", "noise", "reference", "rate"))
     mistakes += [Mistake("DATA", file, rule) for file in files if not file.lower().endswith(_RECORDING)]
     mistakes += [Mistake("DATA", file, "is given twice") for file in {*files} if files.count(file) > 1]
     if mistakes:

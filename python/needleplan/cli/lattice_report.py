@@ -16,7 +16,7 @@ __all__ = ["breath_lines", "lattice_record", "lattice_texts"]
 
 
 def lattice_texts(scenario: SpaceScenario) -> dict[str, str]:
-    """Return what is printed about the lattice, by topic."""
+    """Return the printed lines about the lattice, by topic."""
     grid, chosen = scenario.grid, scenario.file.lattice.spacing_mm is None
     why = " (the finest of 1, 1.5 and 2 mm that states and memory permit)" if chosen else ""
     texts = {

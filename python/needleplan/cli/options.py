@@ -16,7 +16,7 @@ from needleplan.errors import InputError, Mistake, PoseError, SafetyError, Table
 
 if TYPE_CHECKING:
     from needleplan.control.safety import SafetyLimits
-    from needleplan.planning import Entry, PolicyTable, Pose, Table
+    from needleplan.planning import Entry, Pose, Table
     from needleplan.scenario import Scenario
 
 __all__ = [
@@ -38,7 +38,6 @@ __all__ = [
     "numbers",
     "options_named",
     "pose_record",
-    "read_any_table",
     "read_table",
     "require_ending",
     "require_free",
@@ -79,19 +78,11 @@ def add_verify_key(parser: argparse._ActionsContainer) -> None:
     parser.add_argument("--verify-key", metavar="FILE", help="refuse a table that is not signed with this secret key")
 
 
-def read_table(options: argparse.Namespace) -> PolicyTable:
-    """Return the policy table that the options name. With `--verify-key`, refuse a table without its signature.
+def read_table(options: argparse.Namespace) -> Table:
+    """Return the table that the options name, in the plane or in 3D; `--verify-key` demands its signature.
 
     A table whose signature is not verified may come from anybody, so a child process tries it first.
     """
-    from needleplan.planning import PolicyTable
-
-    require_table(options.table)
-    return PolicyTable.read(options.table, verify_key=verify_key(options))
-
-
-def read_any_table(options: argparse.Namespace) -> Table:
-    """Return the table that the options name, in the plane or in 3D; `--verify-key` as `read_table`."""
     from needleplan.planning import Table
 
     require_table(options.table)

@@ -48,7 +48,7 @@ class Parser(argparse.ArgumentParser):
         self._deferred.append(declare)
 
     def complete(self) -> None:
-        """Declare what is deferred, here and in all commands."""
+        """Declare the deferred options of this parser and of all commands."""
         self._declare()
         for command in self.commands().values():
             command.complete()

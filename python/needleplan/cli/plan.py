@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING, Any, cast
 
-from needleplan.artifacts import FileKind, call_repr, file_format
+from needleplan.artifacts import CallRepr, FileKind, file_format
 from needleplan.cli.answer import by_table, complain, note, percent, print_json, print_summary, working
 from needleplan.cli.options import (
     EDGES,
@@ -33,7 +33,7 @@ from needleplan.cli.uncertainty import (
     promise_lines,
     promise_record,
     promised,
-    read_error,
+    read_registered,
     read_uncertainty,
 )
 from needleplan.errors import InputError, Mistake, ScenarioError
@@ -54,7 +54,7 @@ _DETERRENT = 10  # ratio of failure cost to the cost of crossing the workspace, 
 
 
 @dataclass(frozen=True)
-class Replaced:
+class Replaced(CallRepr):
     """Record that an identified radius replaced a radius of the scenario.
 
     `place` names the needle or the tissue, `found` is the identified curvature, and `file` is the model file.
@@ -63,8 +63,6 @@ class Replaced:
     place: str
     found: Identified
     file: str
-
-    __repr__ = call_repr
 
     def record(self) -> dict[str, Any]:
         """Return the JSON record of the replacement. Limits of the interval are None if there is no interval."""
@@ -153,7 +151,7 @@ def run(options: argparse.Namespace) -> int:
         scenario = replace(scenario, target=replace(scenario.target, radius_mm=scenario.target.radius_mm - shift_mm))
     model = next((each.found for each in identified if each.place == "needle"), None)
     planned_per_mm = 1 / scenario.needle.curvature_radius_mm
-    uncertainty = read_uncertainty(options, read_error(options.registration), model, planned_per_mm)
+    uncertainty = read_uncertainty(options, read_registered(options.registration), model, planned_per_mm)
     inputs = [options.scenario, options.sign_key, options.registration, *(each.file for each in identified)]
     require_outputs(options, inputs, options.output)
     key = sign_key(options)

@@ -10,7 +10,7 @@ from needleplan.cli.answer import complain, note, print_json, print_summary, wor
 from needleplan.cli.lattice_report import lattice_record, lattice_texts
 from needleplan.cli.options import require_inputs_kept, require_outputs, sign_key
 from needleplan.cli.streams import one_line
-from needleplan.cli.uncertainty import promise_lines, promise_record, promised, read_error, read_uncertainty
+from needleplan.cli.uncertainty import promise_lines, promise_record, promised, read_registered, read_uncertainty
 from needleplan.errors import InputError, Mistake, ScenarioError
 
 if TYPE_CHECKING:
@@ -42,8 +42,8 @@ def run_plan_space(options: argparse.Namespace) -> int:
     from needleplan.planning import entry_map, impossible_message, plan_space, unreached
 
     require_outputs(options, [options.scenario, options.sign_key, options.registration, *options.after], options.output)
-    error = read_error(options.registration)
-    read_uncertainty(options, error)
+    registered = read_registered(options.registration)
+    read_uncertainty(options, registered)
     key = sign_key(options)
     scenario = _scenario(Anatomy.read(options.scenario), options.target_name)
     found = _curvature(scenario, options.after) if options.after else None
@@ -57,7 +57,7 @@ def run_plan_space(options: argparse.Namespace) -> int:
             )
         scenario = scenario.rescaled(found.ratio)
     ratios = (found.interval[0] / found.ratio, found.interval[1] / found.ratio) if found else None
-    uncertainty = read_uncertainty(options, error, curvature_ratio=ratios)
+    uncertainty = read_uncertainty(options, registered, curvature_ratio=ratios)
     require_inputs_kept(options)
     with working(options, "solving") as tell:
 

@@ -12,36 +12,11 @@ import contextlib
 import os
 import sys
 from collections.abc import Sequence
+from importlib import import_module
+from itertools import chain
 from typing import TextIO, cast
 
 from needleplan.artifacts.read_files import recorded_reads
-from needleplan.cli import (
-    calibrate,
-    case,
-    check_robot,
-    compare,
-    completion,
-    diagnose,
-    doctor,
-    identify,
-    insert,
-    lab,
-    pause,
-    plan,
-    predict,
-    realtime,
-    recording,
-    register,
-    reproduce,
-    retract,
-    scenarios,
-    simulate,
-    stop,
-    study,
-    sweep,
-    table,
-    view,
-)
 from needleplan.cli.answer import set_quiet
 from needleplan.cli.help_texts import COMMAND_GROUPS, EXAMPLES
 from needleplan.cli.parser import Parser
@@ -54,6 +29,12 @@ __all__ = ["make_parser", "run_command"]
 # Exit codes: an input is wrong or the output cannot be written; the program that reads the output has ended.
 _WRONG_INPUT, _NOBODY_READS = 2, 141
 
+# Modules that declare commands of other names.
+_MODULES = {
+    "path": "table", "evaluate": "table", "entry": "table", "info": "table", "new": "scenarios", "resume": "pause",
+    "check-realtime": "realtime",
+}  # fmt: skip
+
 
 def run_command(arguments: Sequence[str] | None = None) -> int:
     """Parse `arguments` (None: `sys.argv[1:]`), run the command, and return the exit code.
@@ -64,7 +45,7 @@ def run_command(arguments: Sequence[str] | None = None) -> int:
     wrong usage, and KeyboardInterrupt after Ctrl-C.
     """
     with contextlib.redirect_stderr(cast("TextIO", RemarkStream(sys.stderr))):
-        options = _parser().parse_args(arguments)
+        options = _parser(sys.argv[1:2] if arguments is None else arguments[:1]).parse_args(arguments)
         set_quiet(getattr(options, "quiet", False))
         try:
             with recorded_reads(), contextlib.redirect_stdout(cast("TextIO", AnswerStream(sys.stdout))):
@@ -98,8 +79,11 @@ def make_parser() -> Parser:
     return parser
 
 
-def _parser() -> Parser:
-    """Return the parser of the whole program, whose commands declare some arguments when they parse."""
+def _parser(words: Sequence[str] = ()) -> Parser:
+    """Return the parser of the program, whose commands declare some arguments when they parse.
+
+    If the first word is a command, the parser has only the commands of its module, so that no other module is imported.
+    """
     parser = Parser(
         prog="needleplan",
         description="Plan, execute and diagnose the steering of flexible bevel-tip needles. Not a medical device.",
@@ -109,13 +93,10 @@ def _parser() -> Parser:
     parser.add_argument("-V", "--version", action=_Version, nargs=0, help="print the version and exit")
     parser.rename("atlas", "sweep")
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
-    for command in (
-        plan, view, table, scenarios, case, sweep, study, identify, predict, calibrate, register, simulate, lab, insert,
-        retract, stop, pause, diagnose, compare, recording, reproduce, doctor, realtime,
-        check_robot,
-    ):  # fmt: skip
-        command.add_to(commands)
-    completion.add_to(commands, make_parser)
+    known = list(chain.from_iterable(COMMAND_GROUPS.values()))
+    asked = [word for word in words[:1] if word in known] or known
+    for module in dict.fromkeys(_MODULES.get(command, command.replace("-", "_")) for command in asked):
+        import_module(f"needleplan.cli.{module}").add_to(commands)
     parser.command_groups = COMMAND_GROUPS
     _add_examples(parser, "")
     return parser

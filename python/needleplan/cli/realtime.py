@@ -29,6 +29,10 @@ def add_to(commands: Any) -> None:
         "beside two busy threads. `insert` with a real robot refuses to begin if the last measurement on this machine, "
         "with the same priority, does not hold its limits. Exit code 1: a limit does not hold.",
     )
+    parser.add_argument(
+        "--robot-line", choices=("udp", "pty"), default="udp",
+        help="connection of the robot: UDP, or the pseudo-terminal of a serial line (default: udp)",
+    )  # fmt: skip
     parser.add_argument("--seconds", type=float, default=60.0, metavar="S", help="duration (default: 60)")
     add_answer(parser, verbose=False)
     parser.set_defaults(run=_run)
@@ -41,11 +45,11 @@ def _run(options: argparse.Namespace) -> int:
     if not 0 < options.seconds <= _LONGEST_S:
         rule = f"must be above 0 and at most {_LONGEST_S:g} s"
         raise InputError(Mistake("--seconds", f"{options.seconds:g}", rule))
-    found = measure_promptness(options.seconds)
+    found = measure_promptness(options.seconds, line=options.robot_line == "pty")
     try:
         found.write()
     except OSError as error:
-        complain(f"{measured_file(found.priority)}: cannot be written: {error.strerror}")
+        complain(f"{measured_file(found.priority, line=found.line)}: cannot be written: {error.strerror}")
     if options.json:
         limits = [
             {"limit": name, "worst_ms": worst_ms, "limit_ms": limit_ms, "holds": holds}
@@ -59,7 +63,7 @@ def _run(options: argparse.Namespace) -> int:
         middle_ms, most_ms, _ = times[name]
         print(
             f"  {'ok' if holds else '--'}  {name:<15} median {middle_ms:.2f} ms, 99.9 % {most_ms:.2f} ms, "
-            f"worst {worst_ms:.2f} ms, limit {limit_ms:g} ms"
+            f"worst {worst_ms:.2f} ms, limit {limit_ms:.3g} ms"
         )
     if not found.holds:
         print(f"      {REMEDY}")
@@ -67,14 +71,17 @@ def _run(options: argparse.Namespace) -> int:
 
 
 def require_prompt(robot: str) -> None:
-    """Raise InputError if the last measurement on this machine, with this priority, does not hold a limit."""
+    """Raise InputError if the last measurement on this machine, with this priority, does not hold a limit.
+
+    A robot on a serial line is judged by a measurement over a serial line, without one by that over UDP.
+    """
     from needleplan.control.realtime import Promptness
 
-    found = Promptness.read()
+    found = (Promptness.read(line=True) if robot.startswith("serial:") else None) or Promptness.read()
     if found is None or found.holds:
         return
     broken = [
-        Mistake("--robot", robot, f"{name}: {worst_ms:.3g} ms measured, at most {limit_ms:g} ms permitted: {REMEDY}")
+        Mistake("--robot", robot, f"{name}: {worst_ms:.3g} ms measured, at most {limit_ms:.3g} ms permitted: {REMEDY}")
         for name, worst_ms, limit_ms, holds in found.limits if not holds
     ]  # fmt: skip
     raise InputError(broken, "check-realtime")

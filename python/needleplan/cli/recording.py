@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from needleplan.cli.answer import complain, note, print_first, print_json, print_summary, working
-from needleplan.cli.options import add_answer, add_output, add_verify_key, read_any_table, require_free, require_outputs
+from needleplan.cli.options import add_answer, add_output, add_verify_key, read_table, require_free, require_outputs
 from needleplan.cli.parser import Parser
 from needleplan.cli.streams import one_line
 
@@ -172,7 +172,7 @@ def run_replay(options: argparse.Namespace) -> int:
 
         table_set = TableSet.open(options.table_set)
     with working(options, "replaying"):
-        done = replay(Recording.read(options.recording), read_any_table(options), table_set)
+        done = replay(Recording.read(options.recording), read_table(options), table_set)
     if options.json:
         print_json({"same": done.same, "decisions": done.decisions, "recorded": done.recorded,
                     "differences": list(done.differences), "ending": done.report.outcome})  # fmt: skip

@@ -20,7 +20,7 @@ from needleplan.cli.options import (
     add_table,
     add_verify_key,
     options_named,
-    read_any_table,
+    read_table,
     require_outputs,
 )
 from needleplan.cli.parser import Parser, whole
@@ -59,7 +59,7 @@ def _run_path(options: argparse.Namespace) -> int:
     from needleplan.planning import Outcome
 
     require_outputs(options, [options.table])
-    table = read_any_table(options)
+    table = read_table(options)
     poses = poses_of(table)
     how = poses.nearest_choice(options.nearest)
     path = table.path(poses.start(options.start), **how)
@@ -129,7 +129,7 @@ def _run_evaluate(options: argparse.Namespace) -> int:
     from needleplan.cli.table_poses import poses_of
     from needleplan.planning import disagrees
 
-    table = read_any_table(options)
+    table = read_table(options)
     poses = poses_of(table)
     how, start = poses.nearest_choice(options.nearest), poses.start(options.start)
     named = options_named({"runs": "--runs", "seed": "--seed"})
@@ -203,7 +203,7 @@ def _run_entry(options: argparse.Namespace) -> int:
         return run_anatomy_entries(options)
     from needleplan.cli.table_entry import run_entry
 
-    return int(run_entry(read_any_table(options), options))
+    return int(run_entry(read_table(options), options))
 
 
 def _add_info(commands: Any) -> None:
@@ -237,7 +237,7 @@ def _run_info(options: argparse.Namespace) -> int:
     from needleplan.planning import TABLE_FORMAT, is_signed
 
     try:
-        table = read_any_table(options)
+        table = read_table(options)
     except ChecksumError as error:
         if options.json:
             print_json({"table": options.table, "verified": False, "reason": str(error)})

@@ -9,7 +9,14 @@ from needleplan.cli.anatomy import require_no_anatomy, run_table_entries
 from needleplan.cli.answer import by_table, complain, print_json, print_summary
 from needleplan.cli.options import EDGES, entry_record, guide_line, guide_record
 from needleplan.cli.plan import UNREACHABLE_SUCCESS
-from needleplan.cli.uncertainty import promise_lines, promise_record, promised, read_error, read_model, read_uncertainty
+from needleplan.cli.uncertainty import (
+    promise_lines,
+    promise_record,
+    promised,
+    read_model,
+    read_registered,
+    read_uncertainty,
+)
 from needleplan.planning import PolicyTable, Pose, SpaceTable, Table
 from needleplan.scenario import EntryPose, Identified
 
@@ -36,7 +43,7 @@ def _plane_entry(table: PolicyTable, options: argparse.Namespace) -> int:
     model = read_model(options.needle)
     guide = _guide(best.pose, model)
     planned_per_mm = 1 / table.scenario.needle.curvature_radius_mm
-    uncertainty = read_uncertainty(options, read_error(options.registration), model, planned_per_mm)
+    uncertainty = read_uncertainty(options, read_registered(options.registration), model, planned_per_mm)
     promise = promised(table, uncertainty, best) if best.success >= UNREACHABLE_SUCCESS else None
     if options.json:
         more = guide_record(guide) if guide else {}

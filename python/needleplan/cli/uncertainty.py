@@ -15,15 +15,14 @@ from needleplan.errors import InputError, Mistake
 if TYPE_CHECKING:
     from needleplan.planning import Promise, Table, Uncertainty
     from needleplan.scenario import Identified
-    from needleplan.signals import RigidError
 
 __all__ = [
     "add_uncertainty",
     "promise_lines",
     "promise_record",
     "promised",
-    "read_error",
     "read_model",
+    "read_registered",
     "read_uncertainty",
 ]
 
@@ -33,6 +32,7 @@ _NAMES = {
     "entry": "entry",
     "registration": "registration",
     "curvature": "curvature",
+    "tip": "tip estimate",
     "together": "promise",
 }
 
@@ -55,7 +55,9 @@ def _declare(group: argparse._ArgumentGroup, registration: bool) -> None:
         )  # fmt: skip
     if registration:
         group.add_argument(
-            "--registration", metavar="FILE", help="registration whose error, by its points, the promise includes"
+            "--registration",
+            metavar="FILE",
+            help="registration whose coil and errors the promise includes",
         )
 
 
@@ -66,16 +68,17 @@ def _options() -> dict[str, Field[Any]]:
     return {f"--{field.name.replace('_', '-')}": field for field in fields(Uncertainty) if field.metadata["about"]}
 
 
-def read_error(file: str | None) -> RigidError | None:
-    """Return the error of a registration file, or None without a file; a remark says if it has no points."""
+def read_registered(file: str | None) -> dict[str, Any]:
+    """Return the error and the coil of a registration for `Uncertainty`; a remark says if it has no points."""
     if file is None:
-        return None
+        return {}
     from needleplan.estimation.registration import Registration
 
-    error = Registration.read(file).error
+    registration = Registration.read(file)
+    error = registration.error
     if error is None:
         note(f"warning: {file} has no points, so the promise does not include the error of the registration")
-    return error
+    return {"registration": error, "coil_mm": registration.coil_offset_mm}
 
 
 def read_model(file: str | None) -> Identified | None:
@@ -93,19 +96,19 @@ def read_model(file: str | None) -> Identified | None:
 
 def read_uncertainty(
     options: argparse.Namespace,
-    registration: RigidError | None = None,
+    registered: dict[str, Any] | None = None,
     model: Identified | None = None,
     planned_per_mm: float | None = None,
     curvature_ratio: tuple[float, float] | None = None,
 ) -> Uncertainty:
     """Return what is not known exactly: by the options, and for those that are left out by a model.
 
-    `registration` is the error of a registration, `model` an identified curvature and entry, `planned_per_mm` the
+    `registered` is what `read_registered` returns, `model` an identified curvature and entry, `planned_per_mm` the
     curvature of the plan (1/mm), and `curvature_ratio` an interval of the curvature relative to it.
     """
     from needleplan.planning import Uncertainty
 
-    given: dict[str, Any] = {} if registration is None else {"registration": registration}
+    given: dict[str, Any] = dict(registered or {})
     interval = model.ratios_to(planned_per_mm) if model and planned_per_mm else curvature_ratio
     if interval:
         given["curvature_ratio"] = interval

@@ -17,14 +17,14 @@ from needleplan.cli.options import (
     add_force,
     add_start,
     add_verify_key,
-    read_any_table,
+    read_table,
     require_ending,
     require_inputs_kept,
     require_outputs,
     start_pose,
 )
 from needleplan.cli.parser import Parser, whole
-from needleplan.cli.uncertainty import add_uncertainty, read_error, read_uncertainty
+from needleplan.cli.uncertainty import add_uncertainty, read_registered, read_uncertainty
 from needleplan.errors import InputError, Mistake
 from needleplan.extras import require
 
@@ -129,7 +129,7 @@ def _page_of(options: argparse.Namespace) -> AnyPage:
     """Return the page of the file that the options name, with the promise of its entries. Raises InputError."""
     from needleplan.page import SpacePage
 
-    uncertainty = read_uncertainty(options, read_error(options.registration))
+    uncertainty = read_uncertainty(options, read_registered(options.registration))
     page = _exact_page(options)
     if not uncertainty.is_exact:
         if not isinstance(page, SpacePage):
@@ -149,7 +149,7 @@ def _exact_page(options: argparse.Namespace) -> AnyPage:
     if kind is FileKind.TABLE or ending in _TABLE_ENDINGS:
         _refuse_table(options)
         options.table = options.file
-        return _of_plan(read_any_table(options), options)
+        return _of_plan(read_table(options), options)
     if options.verify_key:
         raise InputError(Mistake("--verify-key", options.verify_key, "is for policy tables (.h5) only"))
     if kind is FileKind.RECORDING or ending == ".mcap":

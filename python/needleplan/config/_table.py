@@ -8,7 +8,7 @@ from dataclasses import MISSING, Field, dataclass, field, fields
 from functools import cache
 from typing import Any, ClassVar, TypeVar
 
-from needleplan.artifacts import Parent, call_repr, short_html
+from needleplan.artifacts import CallRepr, Parent
 from needleplan.config._rules import Choice, Rule, Text, Violation, sequence, suggestion
 from needleplan.errors import InputError, Mistake
 
@@ -86,7 +86,7 @@ class Given:
 
 
 @dataclass(frozen=True)
-class ConfigTable:
+class ConfigTable(CallRepr):
     """Base class of TOML tables as frozen dataclasses.
 
     Every field is declared by `ruled`. The constructor and the reading of a file check the same rules; the constructor
@@ -105,8 +105,6 @@ class ConfigTable:
     schema: ClassVar[str] = ""
     between: ClassVar[tuple[Between, ...]] = ()
 
-    _repr_html_ = short_html
-
     def __init_subclass__(
         cls,
         *,
@@ -116,8 +114,6 @@ class ConfigTable:
         between: tuple[Between, ...] | None = None,
     ) -> None:
         super().__init_subclass__()
-        if "__repr__" not in cls.__dict__:
-            type.__setattr__(cls, "__repr__", call_repr)  # an assignment would hide the types from editors
         for name, value in (("key", key), ("error", error), ("schema", schema), ("between", between)):
             if value is not None:
                 setattr(cls, name, value)
@@ -281,7 +277,7 @@ class TableList:
 
 
 @dataclass(frozen=True)
-class Keyed:
+class Keyed(CallRepr):
     """Rule for a table whose keys and rules are known only at run time; the table is stored as a dict.
 
     `rules` maps keys to the rules that read their values. `others` is the rule for all other keys; if None, other keys
@@ -293,8 +289,6 @@ class Keyed:
     """Maps each key that must be present to an explanation for messages, which may be empty."""
 
     others: Rule | None = None
-
-    __repr__ = call_repr
 
     def read(self, value: object) -> dict[str, Any]:
         """Return the values by key. Raises Violation."""

@@ -16,7 +16,7 @@ from needleplan.control._insertion import Insertion
 from needleplan.control._options import Options, RunSetup, planned_tip_settings
 from needleplan.control._order_port import OrderPort, send_order
 from needleplan.control._preconditions import require_fitting
-from needleplan.control._recorded_insertion import recorded_insertion
+from needleplan.control._recorded_insertion import recorded_coil_mm, recorded_insertion
 from needleplan.control._recorder import RunRecorder
 from needleplan.control._replanning import Replanner, ThreadReplanner, curvature_mismatch, rescaled
 from needleplan.control._replay import ReplayComparison, recorded_samples, replay
@@ -66,6 +66,7 @@ __all__ = [
     "open_stage_patiently",
     "path_distances_mm",
     "planned_tip_settings",
+    "recorded_coil_mm",
     "recorded_insertion",
     "recorded_samples",
     "replay",

@@ -33,6 +33,8 @@ _NONCE = struct.Struct("<4sB3xQ")  # magic, version, nonce
 _TAG = 16  # bytes of the tag
 # largest number of datagrams that are read at once, so that a flood cannot keep a release from being reported
 _MOST = 2000
+# number of datagrams that wait at once above which newer ones may be lost: a receive buffer of Linux holds about 250
+_FULL = 200
 
 
 class Deadman(Closing):
@@ -53,8 +55,8 @@ class UdpDeadman(Deadman):
 
     The switch is armed by a heartbeat that says released. A heartbeat that says held then holds it, until one of the
     same session says released, or none has arrived for 0.2 s; after such a silence the switch must be armed again.
-    While the switch is held, other sessions do not count. Of the datagrams that wait, the newest decides. Raises
-    DeviceFault if the port cannot be used.
+    While the switch is held, other sessions do not count. Of the datagrams that wait, the newest decides; so many that
+    the newest may be lost count as silence. Raises DeviceFault if the port cannot be used.
     """
 
     def __init__(self, host: str, port: int, key: bytes) -> None:
@@ -83,6 +85,7 @@ class UdpDeadman(Deadman):
     def is_held(self, timeout_s: float) -> bool:
         """Wait at most `timeout_s` for heartbeats, read all that wait, and return whether a person holds the switch."""
         select.select([self._socket], [], [], max(timeout_s, 0.0))
+        taken = 0
         for _ in range(_MOST):
             try:
                 data, sender = self._socket.recvfrom(64)
@@ -91,6 +94,9 @@ class UdpDeadman(Deadman):
             except OSError:  # a port to which a nonce was sent is closed
                 continue
             self._take(data, sender)
+            taken += 1
+        if taken >= _FULL:  # the newest may say that the switch is released, and be lost
+            self._is_armed, self._until_s = False, None
         self._note_silence(time.monotonic())
         return self._until_s is not None
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import StrEnum
 
-from needleplan.artifacts import call_repr, short_html, short_repr
+from needleplan.artifacts import CallRepr, ShortRepr
 from needleplan.control.safety import SafetyEvent
 from needleplan.devices import Sample
 from needleplan.estimation.tip import TipEstimate
@@ -52,7 +52,7 @@ class RunEventName(StrEnum):
 
 
 @dataclass(frozen=True)
-class RunEvent:
+class RunEvent(CallRepr):
     """One event of a run with its cause and a text for the user. `step` is the number of the next decision.
 
     In the events FAULT, STOP and END, `cause` is the outcome of the run and `text` the reason. `digest` is the digest
@@ -65,8 +65,6 @@ class RunEvent:
     text: str
     step: int
     digest: str = ""
-
-    __repr__ = call_repr
 
 
 class CommandKind(StrEnum):
@@ -88,7 +86,7 @@ class RunCommand:
 
 
 @dataclass(frozen=True)
-class ExecutedStep:
+class ExecutedStep(ShortRepr):
     """One decision of the loop and the step that the needle then makes.
 
     - `path_mm`, `pose`: path length and predicted pose of the tip at the start of the step.
@@ -114,9 +112,6 @@ class ExecutedStep:
     estimate: TipEstimate
     table_digest: str
     latency_s: float
-
-    __repr__ = short_repr
-    _repr_html_ = short_html
 
 
 class Listener:

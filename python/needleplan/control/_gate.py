@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from needleplan.anatomy import Breathing
-from needleplan.artifacts import call_repr
+from needleplan.artifacts import CallRepr
 from needleplan.errors import InputError, Mistake
 
 __all__ = ["BreathGate"]
@@ -21,7 +21,7 @@ _SAMPLES = 2000
 
 
 @dataclass(frozen=True)
-class BreathGate:
+class BreathGate(CallRepr):
     """Times at which breathing leaves the tissue near its place in the plan.
 
     Parameters
@@ -56,8 +56,6 @@ class BreathGate:
 
     longest_s: float = field(init=False, repr=False)
     """Longest time (s) for which the gate is open in a breath."""
-
-    __repr__ = call_repr
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "spans_s", self._spans())

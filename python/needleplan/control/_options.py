@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields, replace
 from typing import TYPE_CHECKING, Any, Self
 
-from needleplan.artifacts import call_repr
+from needleplan.artifacts import CallRepr
 from needleplan.control._gate import BreathGate
 from needleplan.control.safety import SafetyLimits
 from needleplan.errors import DataError, InputError, Mistake
@@ -33,7 +33,7 @@ _FIBRE, _PLANE = "fibre.json", "ultrasound.json"
 
 
 @dataclass(frozen=True)
-class Options:
+class Options(CallRepr):
     """Options of an insertion; lengths in mm, angles in rad. Raises InputError with every invalid option."""
 
     velocity_mm_s: float = 5.0
@@ -125,8 +125,6 @@ class Options:
     force_axis: tuple[float, float, float] = (0.0, 0.0, 1.0)
     """Unit vector in the frame of the force sensor, in the direction of a force that resists insertion."""
 
-    __repr__ = call_repr
-
     def __post_init__(self) -> None:
         mistakes = [
             Mistake(name, f"{getattr(self, name):g}", "must be a number above 0")
@@ -153,7 +151,7 @@ class Options:
 
 
 @dataclass(frozen=True)
-class RunSetup:
+class RunSetup(CallRepr):
     """Everything besides the table that an insertion depends on: options, limits, registration, tip settings.
 
     `fibre` and `plane` are the curvature sensors of the needle and the image plane of an ultrasound probe, if any.
@@ -168,8 +166,6 @@ class RunSetup:
     accepted: str = ""
     fibre: FibreSensors | None = None
     plane: ImagePlane | None = None
-
-    __repr__ = call_repr
 
     @property
     def digests(self) -> dict[str, str]:

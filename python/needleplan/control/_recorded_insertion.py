@@ -14,7 +14,31 @@ from needleplan.recording import Recording
 if TYPE_CHECKING:
     from needleplan.anatomy import SpaceScenario
 
-__all__ = ["recorded_insertion"]
+__all__ = ["recorded_coil_mm", "recorded_insertion"]
+
+
+def recorded_coil_mm(recording: Recording) -> float | None:
+    """Return the distance of the coil behind the tip in a recorded insertion.
+
+    Parameters
+    ----------
+    recording : Recording
+        The recording.
+
+    Returns
+    -------
+    float or None
+        Distance (mm); None for a recording without a registration.
+
+    Raises
+    ------
+    DataError
+        If the registration in the recording is invalid.
+    """
+    texts = recording.session.texts
+    if "registration.toml" not in texts:
+        return None
+    return RunSetup.from_texts(texts, str(recording.path)).registration.coil_offset_mm
 
 
 def recorded_insertion(file: str, scenario: SpaceScenario) -> SpaceInsertion:

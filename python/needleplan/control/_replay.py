@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from typing import Any, Generic, TypeVar
 
-from needleplan.artifacts import short_html, short_repr
+from needleplan.artifacts import ShortRepr
 from needleplan.control._events import CommandKind, ExecutedStep, Listener, RunEventName
 from needleplan.control._insertion import Insertion
 from needleplan.control._options import RunSetup
@@ -216,7 +216,7 @@ class RecordedStation(Station):
 
 
 @dataclass(frozen=True)
-class ReplayComparison:
+class ReplayComparison(ShortRepr):
     """Result of a replay: report, number of `decisions` made, number of decisions `recorded`, and all differences.
 
     The differences are texts: first those of decisions, then of commands, then of the outcome.
@@ -226,9 +226,6 @@ class ReplayComparison:
     decisions: int
     recorded: int
     differences: tuple[str, ...]
-
-    __repr__ = short_repr
-    _repr_html_ = short_html
 
     @property
     def same(self) -> bool:

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from needleplan.artifacts import short_html, short_repr
+from needleplan.artifacts import ShortRepr
 from needleplan.control._events import ExecutedStep, Listener, RunEvent, RunEventName
 from needleplan.devices import ForceSample, Sample
 from needleplan.estimation.tip import TipEstimate
@@ -90,7 +90,7 @@ class TipErrors:
 
 
 @dataclass(frozen=True, eq=False)
-class InsertionReport:
+class InsertionReport(ShortRepr):
     """Result of an insertion; lengths in mm.
 
     Attributes
@@ -159,9 +159,6 @@ class InsertionReport:
     table_digest: str
     space: SpaceErrors | None = None
     rest: Rest = Rest.UNKNOWN
-
-    __repr__ = short_repr
-    _repr_html_ = short_html
 
     def record(self) -> dict[str, Any]:
         """Return the report as a JSON object, without paths and events, and with only the number of steps."""

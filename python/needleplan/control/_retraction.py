@@ -9,7 +9,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum
 
-from needleplan.artifacts import call_repr
+from needleplan.artifacts import CallRepr
 from needleplan.control._deadman_link import Deadman
 from needleplan.control.safety import GuardedStage, SafetyLimits, Watchdog
 from needleplan.devices import Stage, open_stage
@@ -43,7 +43,7 @@ _STOPPED = RetractionOutcome.STOPPED, "a person has stopped the needle"
 
 
 @dataclass(frozen=True)
-class RetractionReport:
+class RetractionReport(CallRepr):
     """Outcome of a retraction, its cause, and the depths (mm) at its begin and end; None if they are not known.
 
     `rest` is RESTS if the needle was measured at rest at the end; after MOVES and UNKNOWN, treat it as moving.
@@ -54,8 +54,6 @@ class RetractionReport:
     began_mm: float | None
     ended_mm: float | None
     rest: Rest = Rest.UNKNOWN
-
-    __repr__ = call_repr
 
 
 def open_stage_patiently(address: str, wait_s: float, on_wait: Callable[[str], None]) -> Stage:

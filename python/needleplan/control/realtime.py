@@ -19,10 +19,19 @@ from dataclasses import asdict, dataclass
 from multiprocessing.connection import Connection
 from pathlib import Path
 
-from needleplan.artifacts import call_repr
+from needleplan.artifacts import CallRepr
 from needleplan.control.safety import GuardedStage, OperatingState, Order, SafetyLimits, Watchdog
 from needleplan.devices import Closing, ForceSample, PoseSample, Stamp, UdpLink, short_turns
-from needleplan.devices.robot import RobotMachine, RobotServer, RobotStage, RobotTiming, SteadyDrive
+from needleplan.devices.robot import (
+    LINE_BAUD,
+    RobotMachine,
+    RobotServer,
+    RobotStage,
+    RobotTiming,
+    RobotWay,
+    SteadyDrive,
+    open_way,
+)
 from needleplan.devices.robot.messages import RobotKind
 from needleplan.errors import DeviceFault
 
@@ -38,11 +47,14 @@ _MOTION_S = 0.25
 _LONGEST_GAP_S = 0.015
 # Longest time (s) from a sample to its STOP: a tenth of the 0.5 mm that `following_mm` permits, at 5 mm/s
 _LONGEST_STOP_S = 0.01
+# Time (s) of a compact status and a STOP on a serial line, which a pseudo-terminal does not take: two frames of 77
+# bytes of 10 bits
+_LINE_S = 2 * 77 * 10 / LINE_BAUD
 _NEVER_S = 5.0  # time (s) after which a STOP counts as missing
 
 
 @dataclass(frozen=True)
-class Promptness:
+class Promptness(CallRepr):
     """Measured times (ms) of stops and of heartbeats: median, 99.9 % quantile, largest, and number."""
 
     host: str
@@ -57,14 +69,15 @@ class Promptness:
     missing: int
     """Number of tries that ended before their sample, because the machine paused, or without a STOP within 5 s."""
 
-    __repr__ = call_repr
+    line: bool = False
+    """Whether the robot was behind a serial line (a pseudo-terminal) instead of UDP."""
 
     @property
     def limits(self) -> tuple[tuple[str, float, float, bool], ...]:
         """Each limit: its name, the largest measured time (ms), the limit (ms), and whether it holds."""
         checked = (
             ("heartbeat gap", self.gap_ms[2], 1e3 * _LONGEST_GAP_S),
-            ("sample to STOP", self.stop_ms[2], 1e3 * _LONGEST_STOP_S),
+            ("sample to STOP", self.stop_ms[2], 1e3 * (_LONGEST_STOP_S - _LINE_S * self.line)),
         )
         complete = self.stops > 0 and not self.missing
         return tuple((name, value, limit, complete and value <= limit) for name, value, limit in checked)
@@ -76,15 +89,18 @@ class Promptness:
 
     def write(self) -> None:
         """Write the measurement where `insert` looks for it. Raises OSError."""
-        file = measured_file(self.priority)
+        file = measured_file(self.priority, line=self.line)
         file.parent.mkdir(parents=True, exist_ok=True)
         file.write_text(json.dumps(asdict(self), indent=1) + "\n", encoding="utf-8")
 
     @classmethod
-    def read(cls) -> Promptness | None:
-        """Return the last measurement on this machine with the priority of this program; None without a usable one."""
+    def read(cls, *, line: bool = False) -> Promptness | None:
+        """Return the last measurement on this machine with the priority of this program; None without a usable one.
+
+        `line` selects the measurement over a serial line.
+        """
         try:
-            stored = json.loads(measured_file(priority()).read_text(encoding="utf-8"))
+            stored = json.loads(measured_file(priority(), line=line).read_text(encoding="utf-8"))
             promptness = cls(**stored)
             promptness.limits  # noqa: B018 - numbers that are none raise
         except (OSError, ValueError, TypeError, IndexError):
@@ -98,10 +114,13 @@ def priority() -> str:
     return "real-time" if is_real_time else "usual"
 
 
-def measured_file(priority: str) -> Path:
-    """Return the file of the last measurement with a priority, in the cache of the user (`XDG_CACHE_HOME`)."""
+def measured_file(priority: str, *, line: bool = False) -> Path:
+    """Return the file of the last measurement with a priority, in the cache of the user (`XDG_CACHE_HOME`).
+
+    `line` selects the measurement over a serial line.
+    """
     cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
-    return cache / "needleplan" / f"realtime-{priority}.json"
+    return cache / "needleplan" / f"realtime-{priority}{'-serial' * line}.json"
 
 
 class _NotingMachine(RobotMachine):
@@ -128,13 +147,13 @@ class _NotingMachine(RobotMachine):
         return sent
 
 
-def _serve(pipe: Connection) -> None:
+def _serve(pipe: Connection, line: bool) -> None:
     """Serve the robot: "begin" forgets the last try, "jump" lets an encoder jump and returns what was noted."""
     with contextlib.suppress(OSError, AttributeError):
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(_INSTRUMENT))
     machine = _NotingMachine()
-    with RobotServer(machine) as server:
-        pipe.send((server.host, server.port))
+    with RobotServer(machine, line=line) as server:
+        pipe.send(server.address)
         while True:
             if pipe.recv() == "begin":
                 machine.fault_s = machine.stop_s = 0.0
@@ -158,8 +177,9 @@ def _spin(ending: threading.Event) -> None:
 class _Program(Closing):
     """A guarded robot with a loop of 5 ms, and a thread that reads the robot."""
 
-    def __init__(self, link: UdpLink) -> None:
-        self.stage = RobotStage(link, timing=RobotTiming(silence_s=1.0, valid_s=1.0, lost_s=10.0, answer_s=10.0))
+    def __init__(self, link: UdpLink, way: RobotWay) -> None:
+        timing = RobotTiming(silence_s=1.0, valid_s=1.0, lost_s=10.0, answer_s=10.0)
+        self.stage = RobotStage(link, timing=timing, way=way)
         self.guard = GuardedStage(self.stage, _LIMITS, accepted_limits="a measurement")
         self.ending = threading.Event()
         self.number = 0
@@ -214,21 +234,23 @@ class _Program(Closing):
             time.sleep(0.05)
 
 
-def measure_promptness(seconds: float, link: type[UdpLink] = UdpLink) -> Promptness:
+def measure_promptness(seconds: float, link: type[UdpLink] = UdpLink, *, line: bool = False) -> Promptness:
     """Measure the times of stops and heartbeats on this machine for a time (s), at least one try.
 
-    `link` is the link of the program; with a subclass of UdpLink, Python keeps the socket.
+    With `line`, the robot is behind a pseudo-terminal, a serial line without hardware. `link` is the link of the
+    program; with a subclass of UdpLink, Python keeps the socket.
     """
     context = multiprocessing.get_context("spawn")
     here, there = context.Pipe()
-    serving = context.Process(target=_serve, args=(there,), daemon=True)
+    serving = context.Process(target=_serve, args=(there, line), daemon=True)
     serving.start()
     times: list[float] = []
     gaps: list[float] = []
     missing, ending = 0, threading.Event()
     busy = [threading.Thread(target=_spin, args=(ending,), daemon=True) for _ in range(2)]
     try:
-        with _Program(link(*here.recv())) as program, short_turns(), Watchdog(program.guard):
+        way = open_way(here.recv())
+        with _Program(link(way.host, way.port), way) as program, short_turns(), Watchdog(program.guard):
             for process in busy:
                 process.start()
             end_s = time.monotonic() + seconds
@@ -252,7 +274,7 @@ def measure_promptness(seconds: float, link: type[UdpLink] = UdpLink) -> Promptn
         serving.terminate()
         serving.join()
     return Promptness(
-        platform.node(), priority(), seconds, _shown_ms(times), len(times), _shown_ms(gaps), len(gaps), missing
+        platform.node(), priority(), seconds, _shown_ms(times), len(times), _shown_ms(gaps), len(gaps), missing, line
     )
 
 

@@ -18,7 +18,7 @@ from needleplan.devices._base import (
 )
 from needleplan.devices._clock import Clock, Deadline, SystemClock, VirtualClock, no_long_collections, short_turns
 from needleplan.devices._halting import halt
-from needleplan.devices._links import Link, MemoryLink, SerialLink, TcpLink, UdpLink, memory_pair
+from needleplan.devices._links import Link, SerialLink, TcpLink, UdpLink
 from needleplan.devices._opening import Address, open_link
 from needleplan.devices._station import (
     Feed,
@@ -46,7 +46,6 @@ __all__ = [
     "Health",
     "ImageSample",
     "Link",
-    "MemoryLink",
     "PoseSample",
     "ReadDevice",
     "Sample",
@@ -64,7 +63,6 @@ __all__ = [
     "UdpLink",
     "VirtualClock",
     "halt",
-    "memory_pair",
     "no_long_collections",
     "open_link",
     "open_stage",

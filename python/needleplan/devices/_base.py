@@ -15,7 +15,7 @@ from enum import StrEnum
 from types import TracebackType
 from typing import Protocol, Self
 
-from needleplan.artifacts import call_repr
+from needleplan.artifacts import CallRepr
 from needleplan.devices.supervision import StageSupervisor
 
 __all__ = [
@@ -89,7 +89,7 @@ class Stamp:
 
 
 @dataclass(frozen=True)
-class ForceSample:
+class ForceSample(CallRepr):
     """A wrench at the base of the needle in N and N mm, in the frame of the sensor."""
 
     stamp: Stamp
@@ -98,11 +98,9 @@ class ForceSample:
     health: Health = Health.GOOD
     notes: tuple[str, ...] = field(default=())
 
-    __repr__ = call_repr
-
 
 @dataclass(frozen=True)
-class PoseSample:
+class PoseSample(CallRepr):
     """The pose of a tracked coil: position in mm, and a unit quaternion (w, x, y, z), in the frame of the tracker.
 
     The roll of a coil with five degrees of freedom is arbitrary. Position and quaternion are NaN if the health is
@@ -116,11 +114,9 @@ class PoseSample:
     health: Health = Health.GOOD
     notes: tuple[str, ...] = field(default=())
 
-    __repr__ = call_repr
-
 
 @dataclass(frozen=True)
-class FibreSample:
+class FibreSample(CallRepr):
     """Curvatures of the needle in 1/mm at the sensors along its length, the nearest to the tip first.
 
     Each pair is the curvature toward the bevel, and the curvature a quarter turn from it, in the axes of the needle;
@@ -132,11 +128,9 @@ class FibreSample:
     health: Health = Health.GOOD
     notes: tuple[str, ...] = field(default=())
 
-    __repr__ = call_repr
-
 
 @dataclass(frozen=True)
-class ImageSample:
+class ImageSample(CallRepr):
     """Position of the tip in the image of an ultrasound probe: coordinates u and v in mm, in the axes of the image.
 
     Both are NaN, and the health is MISSING, if the tip was not detected.
@@ -148,11 +142,9 @@ class ImageSample:
     health: Health = Health.GOOD
     notes: tuple[str, ...] = field(default=())
 
-    __repr__ = call_repr
-
 
 @dataclass(frozen=True)
-class StageSample:
+class StageSample(CallRepr):
     """State of the stage: depth (mm, positive into the tissue), velocity (mm/s), roll of the needle base (rad).
 
     `moving` is true if an axis has not completed its commanded motion.
@@ -165,8 +157,6 @@ class StageSample:
     moving: bool
     health: Health = Health.GOOD
     notes: tuple[str, ...] = field(default=())
-
-    __repr__ = call_repr
 
 
 class Device(Closing):

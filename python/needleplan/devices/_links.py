@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import contextlib
 import os
-import queue
 import socket
 import time
 from abc import abstractmethod
@@ -19,7 +18,7 @@ import serial
 from needleplan.devices._base import Closing
 from needleplan.errors import AddressError, DeviceFault, LinkClosed, Mistake
 
-__all__ = ["Link", "MemoryLink", "SerialLink", "TcpLink", "UdpLink", "memory_pair"]
+__all__ = ["Link", "SerialLink", "TcpLink", "UdpLink"]
 
 
 class Link(Closing):
@@ -36,46 +35,6 @@ class Link(Closing):
     @abstractmethod
     def close(self) -> None:
         """Close the connection; closing again does nothing."""
-
-
-class MemoryLink(Link):
-    """One end of a link within this process; its messages arrive complete and in order at the other end."""
-
-    def __init__(self, incoming: queue.SimpleQueue[bytes | None], outgoing: queue.SimpleQueue[bytes | None]) -> None:
-        self._incoming, self._outgoing = incoming, outgoing
-        self._closed = False
-
-    def send(self, data: bytes) -> None:
-        """Send `data` to the other end. Raises LinkClosed if this end is closed."""
-        if self._closed:
-            raise LinkClosed("this end of the link is closed")
-        self._outgoing.put(bytes(data))
-
-    def receive(self, timeout_s: float) -> bytes:
-        """Return the next message from the other end; b"" after `timeout_s`. Raises LinkClosed if an end is closed."""
-        if self._closed:
-            raise LinkClosed("this end of the link is closed")
-        try:
-            data = self._incoming.get(timeout=timeout_s) if timeout_s > 0 else self._incoming.get_nowait()
-        except queue.Empty:
-            return b""
-        if data is None:
-            self._closed = True
-            raise LinkClosed("the other end of the link is closed")
-        return data
-
-    def close(self) -> None:
-        """Close this end. The other end first receives all earlier messages; then its `receive` raises LinkClosed."""
-        if not self._closed:
-            self._closed = True
-            self._outgoing.put(None)
-
-
-def memory_pair() -> tuple[MemoryLink, MemoryLink]:
-    """Return the two ends of a link within this process."""
-    there: queue.SimpleQueue[bytes | None] = queue.SimpleQueue()
-    back: queue.SimpleQueue[bytes | None] = queue.SimpleQueue()
-    return MemoryLink(there, back), MemoryLink(back, there)
 
 
 def _own_address(family: int, peer: tuple[str, int]) -> str:

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from typing import TypeVar
 from urllib.parse import parse_qsl, urlsplit
 
-from needleplan.artifacts import call_repr
+from needleplan.artifacts import CallRepr
 from needleplan.config import suggestion
 from needleplan.devices._links import Link, SerialLink, TcpLink, UdpLink
 from needleplan.errors import AddressError, Mistake
@@ -23,7 +23,7 @@ _T = TypeVar("_T")
 
 
 @dataclass(frozen=True)
-class Address:
+class Address(CallRepr):
     """The parts of a device address.
 
     A network device has `host` and `port`; the path of a tracker address `igtl://` is the name of the tracked device. A
@@ -35,8 +35,6 @@ class Address:
     port: int | None = None
     path: str = ""
     options: Mapping[str, str] = field(default_factory=dict)
-
-    __repr__ = call_repr
 
     @classmethod
     def parse(cls, text: str) -> Address:

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from typing import TYPE_CHECKING, TypeVar
 
-from needleplan.artifacts import call_repr
+from needleplan.artifacts import CallRepr
 from needleplan.bystander import WITHIN_S, StopOutcome
 from needleplan.devices._base import Closing, Device, ForceSensor, Sample, SampledDevice, Stage, Tracker
 from needleplan.devices._clock import Clock, SystemClock, VirtualClock
@@ -78,7 +78,7 @@ def read_directly(_: Source, device: SampledDevice, timeout_s: float) -> Sample 
 
 
 @dataclass
-class Station(Closing):
+class Station(CallRepr, Closing):
     """The devices of an insertion (stage, force sensor and tracker) and the clock that timestamps their samples.
 
     `fibre` and `plane` are the curvature sensors of the needle and the image plane of an ultrasound probe, whose
@@ -92,8 +92,6 @@ class Station(Closing):
     more: Mapping[Source, SampledDevice] = field(default_factory=dict, kw_only=True)
     fibre: FibreSensors | None = field(default=None, kw_only=True)
     plane: ImagePlane | None = field(default=None, kw_only=True)
-
-    __repr__ = call_repr
 
     @property
     def devices(self) -> dict[Source, SampledDevice]:

@@ -20,10 +20,12 @@ _CLEAR = 3.0
 
 
 def curvature_remarks(model: Model, records: Sequence[Record], fibre: FibreSensors | None) -> Iterator[str]:
-    """Yield a remark for each sensor that contradicts the model, or one that all agree; none without their columns.
+    """Compare the curvature sensors along the needle with the model, and yield remarks.
 
-    One remark each names columns of sensors and of images that are there and are not compared. Neighbouring readings
-    share the tissue, so a mean counts one reading for each gauge length of path.
+    Each sensor that contradicts the model gets a remark. If no sensor does, one remark says that all agree. Further
+    remarks name the columns of curvature sensors and of images that the diagnosis does not use. Records without such
+    columns give no remark. Neighbouring readings share the tissue, so a mean counts one reading for each gauge length
+    of path.
     """
     plant = model.plant if isinstance(model, AugmentedModel) else model
     plant = plant.whole if isinstance(plant, AugmentedModel) else plant

@@ -17,7 +17,7 @@ from itertools import pairwise
 import numpy as np
 from scipy.special import stdtrit
 
-from needleplan.artifacts import call_repr
+from needleplan.artifacts import CallRepr
 from needleplan.diagnosis._constants import CHANCE, LEAST_SHARE, SCATTER, SCATTER_FREEDOM, SIGNIFICANT, SURE_NATS
 from needleplan.diagnosis._decision import DiagnosisDecision
 from needleplan.diagnosis._hypothesis import Hypothesis
@@ -71,7 +71,7 @@ class GapFinding:
 
 
 @dataclass(frozen=True)
-class OtherParameter:
+class OtherParameter(CallRepr):
     """A parameter of the given model beside its value in the data.
 
     `low` and `high` are the ends of the interval in the data. `file_low` and `file_high` are those of the model file,
@@ -88,8 +88,6 @@ class OtherParameter:
     file_high: float | None
     departs: bool
     unit: str
-
-    __repr__ = call_repr
 
     @classmethod
     def of(cls, name: str, estimate: Estimate, given: float, known: Estimate | None, trials: int) -> OtherParameter:
@@ -141,7 +139,7 @@ class OtherParameter:
 
 
 @dataclass(frozen=True)
-class OtherLaw:
+class OtherLaw(CallRepr):
     """A law of the base that differs from the model's, with the effects that would look alike."""
 
     law: str
@@ -152,8 +150,6 @@ class OtherLaw:
 
     multiple: float
     """RMS of its deviation, in units of the noise RMS."""
-
-    __repr__ = call_repr
 
     def __str__(self) -> str:
         odds = f"{math.exp(self.nats):.0f} to 1" if self.nats < math.log(1e4) else "above 10,000 to 1"
@@ -177,7 +173,7 @@ class GapStage:
 
 
 @dataclass(frozen=True)
-class GapBudget:
+class GapBudget(CallRepr):
     """What closes the gap of the given model, by trial and by role.
 
     Examples
@@ -201,8 +197,6 @@ class GapBudget:
 
     readings: dict[str, int] = field(default_factory=dict)
     """Number of readings by trial, its weight in a mean; by default all trials count alike."""
-
-    __repr__ = call_repr
 
     def stages(self, role: str = "") -> tuple[GapStage, ...]:
         """Return the stages of the trials of a role together; by default of training and held-out trials.

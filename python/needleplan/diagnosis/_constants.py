@@ -37,7 +37,7 @@ _T = TypeVar("_T")
 
 
 class Constant(NamedTuple):
-    """A row of the table."""
+    """A constant of the diagnosis: name, value, unit, effect of a larger value, and reason for the value."""
 
     name: str
     value: object

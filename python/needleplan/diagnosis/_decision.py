@@ -9,7 +9,7 @@ from enum import StrEnum
 
 from scipy.special import ndtri
 
-from needleplan.artifacts import call_repr
+from needleplan.artifacts import CallRepr
 from needleplan.diagnosis._constants import LARGEST_FAMILY, LIKELY, MOST_EFFECTS
 from needleplan.diagnosis._settings import Settings
 from needleplan.diagnosis.channels import GapAxis
@@ -58,7 +58,7 @@ class Ranked:
 
 
 @dataclass(frozen=True)
-class DiagnosisDecision:
+class DiagnosisDecision(CallRepr):
     """The answer with its probability, the effects that it names, and its reason."""
 
     verdict: Verdict
@@ -77,8 +77,6 @@ class DiagnosisDecision:
 
     other_laws: tuple[str, ...] = ()
     """Laws of the base whose lead exceeds that of the best effects, if nothing is named for this reason."""
-
-    __repr__ = call_repr
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "probability", min(self.probability, 1.0))  # a sum of probabilities may round up

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtrc
 
-from needleplan.artifacts import call_repr
+from needleplan.artifacts import CallRepr
 from needleplan.diagnosis._constants import REST_SPEED_SHARE
 from needleplan.diagnosis._evidence import Columns
 from needleplan.diagnosis._hypothesis import Hypothesis
@@ -174,7 +174,7 @@ def motion_phases(motion: Motion) -> Array:
 
 
 @dataclass(frozen=True)
-class Curve:
+class Curve(CallRepr):
     """Difference of measurement and model as a function of an axis variable, such as depth, for one kind of motion.
 
     All arrays have the shape (nodes,). `mean` and `sd` are in the unit of the channel.
@@ -195,19 +195,15 @@ class Curve:
     inside: NDArray[np.bool_]
     """Whether each node lies in the visited range; at other nodes `sd` approaches that of the prior."""
 
-    __repr__ = call_repr
-
 
 @dataclass(frozen=True)
-class Curves:
+class Curves(CallRepr):
     """All curves along an axis, and the standard deviation of their prior."""
 
     axis: GapAxis
     unit: str
     curves: tuple[Curve, ...]
     prior_sd: float
-
-    __repr__ = call_repr
 
     @property
     def rms(self) -> float:

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from needleplan.artifacts import call_repr
+from needleplan.artifacts import CallRepr
 from needleplan.diagnosis._factors import directions
 from needleplan.diagnosis.calibration import Calibration
 from needleplan.diagnosis.catalogue import Library
@@ -30,7 +30,7 @@ _INVISIBLE = 1e-6
 
 
 @dataclass(frozen=True)
-class Isolability:
+class Isolability(CallRepr):
     """Shares in which effects imitate each other.
 
     `imitated[i, j]` is the share (0 to 1) of effect i that effect j imitates; NaN if effect i is invisible.
@@ -38,8 +38,6 @@ class Isolability:
 
     effects: tuple[str, ...]
     imitated: Array
-
-    __repr__ = call_repr
 
     def alike(self) -> tuple[tuple[str, str, float], ...]:
         """Return the pairs (effect, imitator, imitated share) with a share of at least 0.8, the largest first."""

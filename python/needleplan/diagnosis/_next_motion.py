@@ -20,7 +20,7 @@ from functools import cached_property
 import numpy as np
 from scipy.special import logsumexp
 
-from needleplan.artifacts import call_repr, short_html, short_repr
+from needleplan.artifacts import CallRepr, ShortRepr
 from needleplan.diagnosis._components import Components
 from needleplan.diagnosis._constants import AMPLITUDE_SCALES
 from needleplan.diagnosis._decision import Verdict
@@ -44,7 +44,7 @@ _MOST, _LEAST_PROBABLE, _NOTHING_BITS = 6, 0.005, 1e-3
 
 
 @dataclass(frozen=True)
-class CandidateMotion:
+class CandidateMotion(CallRepr):
     """A motion that may be measured next: a program, or the motion of a trial so far (`program` is None)."""
 
     name: str
@@ -53,8 +53,6 @@ class CandidateMotion:
     repeats: str = ""
     """Name of the trial that the motion repeats; empty if it repeats no trial."""
 
-    __repr__ = call_repr
-
     @property
     def about(self) -> str:
         """What the motion is, in words."""
@@ -62,7 +60,7 @@ class CandidateMotion:
 
 
 @dataclass(frozen=True)
-class NextTrials:
+class NextTrials(ShortRepr):
     """The motions to measure next, in this order, with the information that they are expected to give."""
 
     motions: tuple[CandidateMotion, ...]
@@ -83,9 +81,6 @@ class NextTrials:
 
     role: Role = Role.TRAIN
     """Role of the recordings: holdout if a name waits for a held-out trial of another motion."""
-
-    __repr__ = short_repr
-    _repr_html_ = short_html
 
     @property
     def why(self) -> str:

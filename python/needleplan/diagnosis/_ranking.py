@@ -10,7 +10,7 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from needleplan.artifacts import call_repr
+from needleplan.artifacts import CallRepr
 from needleplan.diagnosis._evidence import squared_residuals
 from needleplan.diagnosis._posterior import log_prior
 from needleplan.diagnosis._result import Diagnosis
@@ -24,7 +24,7 @@ _MOSTLY = 0.5
 
 
 @dataclass(frozen=True)
-class RankedHypothesis:
+class RankedHypothesis(CallRepr):
     """One row of the ranked table."""
 
     probability: float
@@ -34,8 +34,6 @@ class RankedHypothesis:
 
     because: str
     """Why the hypothesis lost, in one sentence; for the first row, why it won."""
-
-    __repr__ = call_repr
 
     @property
     def words(self) -> str:

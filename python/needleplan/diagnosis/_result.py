@@ -9,7 +9,7 @@ from functools import cached_property
 
 import numpy as np
 
-from needleplan.artifacts import digest, short_html, short_repr
+from needleplan.artifacts import ShortRepr, digest
 from needleplan.diagnosis._blocks import TISSUE_KINDS
 from needleplan.diagnosis._budget import GapBudget, GapFinding, OtherLaw, OtherParameter, findings_of, gap_budget
 from needleplan.diagnosis._decision import DiagnosisDecision, Verdict
@@ -39,7 +39,7 @@ _ABSORBED = 1e-3
 
 
 @dataclass(frozen=True)
-class Diagnosis:
+class Diagnosis(ShortRepr):
     """Result of a diagnosis: where the gap is, which effects are missing, their amplitudes, and the corrected model.
 
     Attributes
@@ -77,9 +77,6 @@ class Diagnosis:
     intervals: Mapping[str, Estimate] = field(default_factory=dict)
     given: Model = field(kw_only=True)
     laws: tuple[OtherLaw, ...] = ()
-
-    __repr__ = short_repr
-    _repr_html_ = short_html
 
     @property
     def verdict(self) -> Verdict:

@@ -276,7 +276,7 @@ class Screening:
         return UNUSUAL_LAG_FACTOR * usual_s + sampled_s / 2
 
     def absorbed(self, effect: Effect, parent: Hypothesis) -> list[float]:
-        """Return start values of the amplitude of a delay that the base imitates by its lag, else none."""
+        """Return start amplitudes (s) of a delay effect that the lag of the base imitates; empty for other effects."""
         usual_s = channel_description(self.problem.calibration.given.channel).usual_lag_s
         if effect.is_lag and (lag_s := float(np.median([t.lag_s for t in parent.trials]))) > usual_s:
             return sorted({max(lag_s * share, self._least_lag_s) for share in DELAY_SHARES})

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, fields
 
-from needleplan.artifacts import call_repr
+from needleplan.artifacts import CallRepr
 from needleplan.config import ConfigTable, Number, ruled
 from needleplan.errors import DataError
 
@@ -22,7 +22,7 @@ def _constant(value: float, unit: str, effect: str, reason: str) -> float:
 
 
 @dataclass(frozen=True)
-class Setting:
+class Setting(CallRepr):
     """One constant as reports print it."""
 
     name: str
@@ -30,8 +30,6 @@ class Setting:
     unit: str
     effect: str
     reason: str
-
-    __repr__ = call_repr
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from functools import cached_property, partial
 import numpy as np
 from numpy.typing import NDArray
 
-from needleplan.artifacts import short_html, short_repr
+from needleplan.artifacts import ShortRepr
 from needleplan.diagnosis._blocks import HETEROGENEITY_SDS, TISSUE_KINDS, Block
 from needleplan.diagnosis._constants import (
     CALIBRATION_STEPS,
@@ -41,7 +41,7 @@ __all__ = [ "CalibratedTrial", "Calibration",
 
 
 @dataclass(frozen=True)
-class CalibratedTrial:
+class CalibratedTrial(ShortRepr):
     """A trial with the base model calibrated to it: measured and predicted output, and the whitened residual."""
 
     record: Record
@@ -71,9 +71,6 @@ class CalibratedTrial:
 
     shared: Array | None = None
     """Whitened columns that all trials share beside the effects, computed with the sensitivities; None before."""
-
-    __repr__ = short_repr
-    _repr_html_ = short_html
 
     def _distance(self, coordinates: Array) -> float:
         """Return the distance from the point of the sensitivities, in units of that up to which they hold."""
@@ -153,7 +150,7 @@ class CalibratedTrial:
 
 
 @dataclass(frozen=True)
-class Calibration:
+class Calibration(ShortRepr):
     """The sensor noise, and the base model calibrated to each trial."""
 
     noise: SensorNoise
@@ -169,9 +166,6 @@ class Calibration:
 
     effects: tuple[FittedEffect, ...] = ()
     """Effects of the given model, in every hypothesis."""
-
-    __repr__ = short_repr
-    _repr_html_ = short_html
 
     @property
     def trials(self) -> tuple[CalibratedTrial, ...]:

@@ -9,7 +9,7 @@ from functools import cached_property
 
 import numpy as np
 
-from needleplan.artifacts import call_repr, digest
+from needleplan.artifacts import CallRepr, digest
 from needleplan.diagnosis._constants import GRID_MARGIN, PARAMETER_FACTOR
 from needleplan.errors import Mistake, ModelError
 from needleplan.models import Estimate, Model, Scale
@@ -37,15 +37,13 @@ __all__ = [
 
 
 @dataclass(frozen=True)
-class CatalogueEntry:
+class CatalogueEntry(CallRepr):
     """One effect with the grid of parameter values at which it is screened."""
 
     effect: Effect
     grid: tuple[Mapping[str, float], ...]
     first: int
     """Index of the entry's first column in the sensitivities of all entries. Equal grids share their columns."""
-
-    __repr__ = call_repr
 
     @cached_property
     def words(self) -> str:
@@ -95,14 +93,12 @@ class CatalogueEntry:
 
 
 @dataclass
-class Library:
+class Library(CallRepr):
     """Effects to look for, with a cache of their sensitivities; recordings of the same motion share the cache."""
 
     effects: Sequence[Effect]
     nominal: Model
     _kept: dict[tuple[str, str], Array] = field(default_factory=dict, repr=False)
-
-    __repr__ = call_repr
 
     def entries(self, motions: Sequence[Motion]) -> tuple[CatalogueEntry, ...]:
         """Return the catalogue entries of all effects that can be added to the nominal base model.
@@ -198,7 +194,7 @@ def _rounded_model(model: Model, nominal: Model) -> Model:
 
 
 @dataclass(frozen=True)
-class FittedEffect:
+class FittedEffect(CallRepr):
     """An effect with parameter values; a diagnosis adds estimates, RMS and share."""
 
     effect: Effect
@@ -223,8 +219,6 @@ class FittedEffect:
     given: bool = False
     """Whether the given model has the effect already: it is then in every hypothesis, and in the references too."""
 
-    __repr__ = call_repr
-
     def in_trial(self, number: int) -> FittedEffect:
         """Return the effect with the values of one trial; a trial that was not fitted has those of the first one."""
         return replace(self, values={**self.values, **dict(*self.own[number : number + 1])}, own=())
@@ -241,7 +235,7 @@ class FittedEffect:
 
 
 @dataclass(frozen=True)
-class DetectionLimit:
+class DetectionLimit(CallRepr):
     """Detection limit of an effect: the amplitude above which it would be named at half of its grid points."""
 
     effect: str
@@ -256,8 +250,6 @@ class DetectionLimit:
 
     at: Mapping[str, float]
     """Grid point for which the limit holds."""
-
-    __repr__ = call_repr
 
 
 def with_effects(model: Model, effects: Sequence[FittedEffect]) -> Model:

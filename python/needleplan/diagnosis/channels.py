@@ -15,7 +15,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from needleplan.artifacts import call_repr
+from needleplan.artifacts import CallRepr
 from needleplan.diagnosis._constants import (
     ACROSS_RATIO,
     FORCE_LAG_S,
@@ -68,7 +68,7 @@ class GapAxis(StrEnum):
 
 
 @dataclass(frozen=True)
-class ChannelDescription:
+class ChannelDescription(CallRepr):
     """Properties of a measured quantity that the diagnosis uses."""
 
     usual_lag_s: float
@@ -83,8 +83,6 @@ class ChannelDescription:
 
     linear_parameters: tuple[str, ...] = ()
     """Well known parameters that enter linearly: they keep their values in a calibration and are only linearised."""
-
-    __repr__ = call_repr
 
 
 def at_depth(depth_mm: Array, places: Array, rows: Array) -> Array:

@@ -9,7 +9,7 @@ from enum import StrEnum
 
 import numpy as np
 
-from needleplan.artifacts import short_html, short_repr
+from needleplan.artifacts import ShortRepr
 from needleplan.errors import DataError, Mistake
 from needleplan.models import Channel, Model, simulate
 from needleplan.signals import (
@@ -76,7 +76,7 @@ class Lack(StrEnum):
 
 
 @dataclass(frozen=True)
-class CheckedData:
+class CheckedData(ShortRepr):
     """Usable recordings by role, with remarks. `lacks` maps each kind of missing data to the reason why it matters.
 
     Without a noise record, `rest` holds the parts of training trials in which the needle stands before the entry.
@@ -89,9 +89,6 @@ class CheckedData:
     lacks: dict[Lack, str]
     remarks: tuple[str, ...]
     rest: tuple[Record, ...] = ()
-
-    __repr__ = short_repr
-    _repr_html_ = short_html
 
     @property
     def trials(self) -> tuple[Record, ...]:

@@ -22,9 +22,9 @@ from scipy.linalg import cholesky_banded, solveh_banded
 from scipy.optimize import brentq, minimize
 from scipy.stats import binomtest, chi2, t
 
-from needleplan.artifacts import call_repr, short_repr
+from needleplan.artifacts import CallRepr, ShortRepr
 from needleplan.errors import DataError, Mistake
-from needleplan.planning import Table
+from needleplan.planning import Table, Uncertainty
 from needleplan.recording import Recording
 from needleplan.scenario import Scenario
 from needleplan.signals import Array
@@ -36,6 +36,8 @@ _DOUBT = 0.01
 # Ends of a run in a recording by which the plan is judged, the first in the target; others are by persons and faults.
 _TARGET = "target"
 _JUDGED = (_TARGET, "missed", "unreachable", "outside", "collision", "too_long")
+# Executions from the entry of each insertion: their chance counts less than that of the insertion.
+_EXECUTIONS = 500
 # Fewest steps from which curvature and noise are estimated, and fewest runs from which a mean has an interval.
 _FEWEST_STEPS, _FEWEST_RUNS = 10, 3
 # Range of the sought standard deviations: heading noise (rad) in a step, and error of a heading (rad).
@@ -44,7 +46,7 @@ _LOG_RANGE = math.log(_LEAST_SD), math.log(_LARGEST_SD)
 
 
 @dataclass(frozen=True)
-class PlanClaim:
+class PlanClaim(CallRepr):
     """One number that a plan states, beside its measured value.
 
     Attributes
@@ -69,8 +71,6 @@ class PlanClaim:
     unit: str
     p_value: float
 
-    __repr__ = call_repr
-
     @property
     def holds(self) -> bool:
         """Whether chance explains the difference, with a probability of 0.01 or more."""
@@ -78,7 +78,7 @@ class PlanClaim:
 
 
 @dataclass(frozen=True)
-class PlanComparison:
+class PlanComparison(ShortRepr):
     """The claims of a plan beside the insertions that followed it.
 
     Attributes
@@ -95,8 +95,6 @@ class PlanComparison:
     runs: int
     remarks: tuple[str, ...]
 
-    __repr__ = short_repr
-
     @property
     def ok(self) -> bool:
         """Whether all claims hold, and at least one was judged."""
@@ -105,12 +103,12 @@ class PlanComparison:
     def lines(self) -> Iterator[str]:
         """Yield the lines for the terminal."""
         yield f"claims of the plan beside {self.runs} insertion{'s' * (self.runs != 1)}"
-        yield f"  {'claim':<24}{'planned':>10}{'measured':>10}  {'95 % interval':<20}{'chance':>8}"
+        yield f"  {'claim':<28}{'planned':>10}{'measured':>10}  {'95 % interval':<20}{'chance':>8}"
         for claim in self.claims:
             interval = f"{claim.low:.4g} to {claim.high:.4g}"
             verdict = "" if claim.holds else "  does not hold"
             yield (
-                f"  {claim.name:<24}{claim.planned:>10.4g}{claim.measured:>10.4g}  {interval:<20}{claim.p_value:>8.2g}"
+                f"  {claim.name:<28}{claim.planned:>10.4g}{claim.measured:>10.4g}  {interval:<20}{claim.p_value:>8.2g}"
                 f"  {claim.unit}{verdict}"
             )
         yield from (f"  {remark}" for remark in self.remarks)
@@ -122,6 +120,7 @@ class _PlannedRun:
 
     predicted: float
     ended: str
+    start: tuple[float, ...]
     headings: Array
     planned_rad: Array
     steps: Array
@@ -129,7 +128,7 @@ class _PlannedRun:
     heading_sd_rad: float
 
 
-def compare_plan(table: Table, recordings: Sequence[Recording]) -> PlanComparison:
+def compare_plan(table: Table, recordings: Sequence[Recording], coil_mm: float = 0.0) -> PlanComparison:
     """Judge what a table claims by recorded insertions that followed it.
 
     Parameters
@@ -138,6 +137,8 @@ def compare_plan(table: Table, recordings: Sequence[Recording]) -> PlanCompariso
         The table. Curvature, tip noise and distance from the plane are judged for plans in the plane.
     recordings : sequence of Recording
         Recordings of `insert` with this table.
+    coil_mm : float, default 0
+        Distance of the coil behind the tip. With it, the success of a tip that is known up to the coil is judged too.
 
     Returns
     -------
@@ -171,7 +172,11 @@ def compare_plan(table: Table, recordings: Sequence[Recording]) -> PlanCompariso
             remarks.append(f"{recording.path.name} is left out: it {how}")
         else:
             runs.append(run)
-    claims = list(_success(runs)) if runs else []
+    claims = [_success("success", [run.predicted for run in runs], runs)] if runs else []
+    if runs and coil_mm:
+        late = Uncertainty(coil_mm=coil_mm)
+        shares = [table.success_under(late, run.start, executions=_EXECUTIONS).together.value for run in runs]
+        claims.append(_success(f"same, coil {coil_mm:.3g} mm behind", shares, runs))
     if scenario:
         steps = sum(len(run.steps) for run in runs)
         if not any(run.planned_rad.any() for run in runs):
@@ -185,8 +190,8 @@ def compare_plan(table: Table, recordings: Sequence[Recording]) -> PlanCompariso
     if runs:
         sd_deg = math.degrees(float(np.median([run.heading_sd_rad for run in runs])))
         remarks.append(
-            f"the promise assumes that each decision knows the pose; the standard deviation of the heading was "
-            f"{sd_deg:.2g} deg"
+            f"the success of the plan assumes that each decision knows the pose; the standard deviation of the heading "
+            f"was {sd_deg:.2g} deg"
         )
     return PlanComparison(tuple(claims), len(runs), tuple(remarks))
 
@@ -207,23 +212,22 @@ def _run(recording: Recording, scenario: Scenario | None) -> _PlannedRun | None:
         planned = advanced_mm * (bevels / radii_mm)[:-1]
         steps = advanced_mm / [scenario.motion.step_length_mm(float(radius_mm)) for radius_mm in radii_mm[:-1]]
     return _PlannedRun(
-        float(decisions[0]["success"]), str(ends[-1]["cause"]), headings, planned, steps,
+        float(decisions[0]["success"]), str(ends[-1]["cause"]), tuple(decisions[0]["pose"]), headings, planned, steps,
         float(decisions[-1]["tip"]["z_mm"]),
         float(np.median([each["tip"]["heading_sd_rad"] for each in decisions])),
     )  # fmt: skip
 
 
-def _success(runs: Sequence[_PlannedRun]) -> Iterator[PlanClaim]:
-    """Yield the claim of the success: the number of runs in the target is Poisson binomial."""
-    predicted = np.array([run.predicted for run in runs])
+def _success(name: str, predicted: Sequence[float], runs: Sequence[_PlannedRun]) -> PlanClaim:
+    """Return the claim of these probabilities: the number of runs in the target is Poisson binomial."""
     reached = sum(run.ended == _TARGET for run in runs)
     counts = np.ones(1)
     for probability in predicted:
         counts = np.convolve(counts, [1 - probability, probability])
     as_rare = counts <= counts[reached] * (1 + 1e-9)
     interval = binomtest(reached, len(runs)).proportion_ci(0.95)
-    yield PlanClaim(
-        "success", float(predicted.mean()), reached / len(runs), interval.low, interval.high, "",
+    return PlanClaim(
+        name, float(np.mean(predicted)), reached / len(runs), interval.low, interval.high, "",
         min(float(counts[as_rare].sum()), 1.0),
     )  # fmt: skip
 

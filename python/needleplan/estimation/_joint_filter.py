@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from filterpy.kalman import ExtendedKalmanFilter
 
-from needleplan.artifacts import call_repr
+from needleplan.artifacts import CallRepr
 from needleplan.errors import DataError, Mistake
 from needleplan.estimation._joint_system import JointSystem
 from needleplan.models import Channel, Model
@@ -53,7 +53,7 @@ class SampleUse(StrEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class FilterStep:
+class FilterStep(CallRepr):
     """Result of one sample.
 
     `predicted` is the output before the correction, `innovation` is the value minus `predicted` (NaN without a value),
@@ -67,8 +67,6 @@ class FilterStep:
     sd: float
     x: Array
     x_sd: Array
-
-    __repr__ = call_repr
 
 
 class ScalarKalmanFilter(ExtendedKalmanFilter):  # type: ignore[misc]

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from needleplan.artifacts import short_html, short_repr
+from needleplan.artifacts import ShortRepr
 from needleplan.errors import DataError, Mistake
 from needleplan.identification._fitted_arcs import Curvature, CurvatureChange, TrackerNoise
 from needleplan.identification._insertion_path import EntryPath, PathShape, entry_path
@@ -25,7 +25,7 @@ _BACK = 1.0
 
 
 @dataclass(frozen=True)
-class CurvatureTrial:
+class CurvatureTrial(ShortRepr):
     """One insertion: points in mm, shape (n, 2), and the path of one curvature that is fitted to them.
 
     `segments` holds the curvature of each segment, and `changes` the changes between them; both are empty if the path
@@ -53,16 +53,13 @@ class CurvatureTrial:
 
     remarks: tuple[str, ...]
 
-    __repr__ = short_repr
-    _repr_html_ = short_html
-
     @property
     def whole(self) -> Curvature:
         """Curvature of the whole path."""
         return self.path.fitted.segments[0]
 
     def path_of(self, shape: PathShape, noise: TrackerNoise | None = None) -> EntryPath:
-        """Return the path with a shape. `noise` is another assumption about the noise than that of the trial."""
+        """Return the path with a shape. `noise` replaces the noise that the trial assumes."""
         assumed = noise or self.noise
         if (shape, assumed) == (self.path.shape, self.noise):
             return self.path

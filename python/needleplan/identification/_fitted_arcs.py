@@ -13,7 +13,7 @@ from functools import cached_property
 
 import numpy as np
 
-from needleplan.artifacts import short_html, short_repr
+from needleplan.artifacts import ShortRepr
 from needleplan.identification._arc_chain import ArcChain
 from needleplan.identification._correlated_noise import Marginal, marginalise
 from needleplan.signals import Array
@@ -46,7 +46,7 @@ class CurvatureChange:
 
 
 @dataclass(frozen=True)
-class Curvature:
+class Curvature(ShortRepr):
     """Curvature (1/mm) of a path or segment, positive to the left, with standard deviation and 95 % interval.
 
     - `rms_mm`: root mean square distance of all points from the fitted path, also outside of the segment
@@ -64,9 +64,6 @@ class Curvature:
     samples: int
     low_mm: float
     high_mm: float
-
-    __repr__ = short_repr
-    _repr_html_ = short_html
 
     @property
     def radius_mm(self) -> float:
@@ -88,7 +85,7 @@ class Curvature:
 
 
 @dataclass(frozen=True)
-class FittedArcs:
+class FittedArcs(ShortRepr):
     """An arc chain fitted to points.
 
     - `chain`: the chain.
@@ -99,9 +96,6 @@ class FittedArcs:
     chain: ArcChain
     start: Array
     errors: Marginal
-
-    __repr__ = short_repr
-    _repr_html_ = short_html
 
     @property
     def values(self) -> Array:
@@ -131,7 +125,7 @@ class FittedArcs:
 
     @cached_property
     def segments(self) -> tuple[Curvature, ...]:
-        """Curvature of each arc of a chain whose arcs have a coefficient each, or of the whole path for one."""
+        """Curvature of each arc if each arc has its own coefficient, else of the whole path."""
         chain, rms, values = self.chain, self.rms_mm, self.values
         curvatures = []
         for number, row in enumerate(self._rows()):

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from needleplan.artifacts import short_html, short_repr
+from needleplan.artifacts import ShortRepr
 from needleplan.errors import DataError, Mistake
 from needleplan.identification._entry_population import TipPrediction
 from needleplan.models import Estimate, Finding, Model, ModelFile, Parent
@@ -18,11 +18,11 @@ if TYPE_CHECKING:
 
     from needleplan.models.deflection import FibreSensors
 
-__all__ = ["Finding", "Identification", "Trials", "averaged", "trials_by_role"]
+__all__ = ["Finding", "Identification", "Trials", "averaged", "trials_by_role", "undetermined"]
 
 
 @dataclass(frozen=True)
-class Identification:
+class Identification(ShortRepr):
     """Result of the identification of a model from records.
 
     - `kind`: shaft-and-tip, force, friction, tissue-motion, deflection, curvature, duty-cycle or shape.
@@ -45,9 +45,6 @@ class Identification:
     draw: Callable[[Figure], None]
     prediction: TipPrediction | None = None
     fibre: FibreSensors | None = None
-
-    __repr__ = short_repr
-    _repr_html_ = short_html
 
     @property
     def ok(self) -> bool:
@@ -114,3 +111,13 @@ def averaged(samples: int) -> str:
     if samples == 1:
         return "assumed: the force sensor does not average"
     return f"assumed: the force sensor averages {samples} samples; if not, give its number with --average"
+
+
+def undetermined(estimates: Mapping[str, Estimate]) -> list[str]:
+    """Return a remark for each parameter that the data do not determine."""
+    return [
+        f"{name} is not identified: any value from {estimate.low:.3g} to {estimate.high:.3g} {estimate.unit}".rstrip()
+        + " fits"
+        for name, estimate in estimates.items()
+        if not estimate.identified
+    ]

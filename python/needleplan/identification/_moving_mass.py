@@ -119,7 +119,7 @@ class FrictionOnSensor(SelfIntegratingModel):
 
 
 def with_velocity(record: Record) -> Record:
-    """Return the record with a velocity: its own, or that of the depth without delay.
+    """Return the record with a velocity: its own, or the derivative of the depth without delay.
 
     A short window passes the noise of the depth on to the acceleration, and a long window smooths real changes. The
     chosen window is the longest one whose accelerations differ from those of every shorter window by at most twice the

@@ -23,7 +23,7 @@ from enum import StrEnum
 import numpy as np
 from numpy.typing import NDArray
 
-from needleplan.artifacts import call_repr, short_html, short_repr
+from needleplan.artifacts import CallRepr, ShortRepr
 from needleplan.errors import DataError, Mistake
 from needleplan.estimation import FilterSample, FilterStep, JointFilter, JointSystem, SampleUse
 from needleplan.models import Model, simulate
@@ -42,7 +42,7 @@ __all__ = [
 
 
 @dataclass(frozen=True)
-class Recipe:
+class Recipe(CallRepr):
     """Settings of the passes; the defaults suit forces in N.
 
     A coordinate is a transformed parameter, usually its logarithm.
@@ -67,8 +67,6 @@ class Recipe:
     reach: float = 1.5
     limit: float = 0.1
 
-    __repr__ = call_repr
-
     def __post_init__(self) -> None:
         if len(self.variances) != len(self.spreads) or not self.variances:
             rule = "must be one number for each pass, as many as there are variances"
@@ -86,7 +84,7 @@ class FilterStatus(StrEnum):
 
 
 @dataclass(frozen=True)
-class FilterRun:
+class FilterRun(ShortRepr):
     """Result of the passes of the joint filter over the records.
 
     - `model`: the identified model, or the initial model if the filter diverged.
@@ -104,9 +102,6 @@ class FilterRun:
     innovation_rmse: tuple[float, ...]
     replay_mae: tuple[float, ...]
     counts: dict[SampleUse, int]
-
-    __repr__ = short_repr
-    _repr_html_ = short_html
 
     @property
     def ok(self) -> bool:
@@ -187,7 +182,7 @@ def identify_by_passes(
 
 
 @dataclass(frozen=True)
-class Track:
+class Track(ShortRepr):
     """Results of a filter along one record. Every array has the shape (samples,).
 
     `values` maps each free parameter to lower limit, estimate and upper limit, in the unit of the parameter. The limits
@@ -203,9 +198,6 @@ class Track:
     used: NDArray[np.bool_]
     values: dict[str, tuple[Array, Array, Array]]
     state: tuple[Array, Array, Array] | None
-
-    __repr__ = short_repr
-    _repr_html_ = short_html
 
     def innovation_rmse(self, rows: NDArray[np.bool_] | None = None) -> float:
         """Return the root mean square of the used innovations; NaN if there are none.

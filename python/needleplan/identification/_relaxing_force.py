@@ -24,7 +24,7 @@ from needleplan.errors import DataError, Mistake
 from needleplan.identification._between_trials import with_scatter
 from needleplan.identification._force_figure import draw_force
 from needleplan.identification._force_record import Drop, force_drops
-from needleplan.identification._identification import Finding, Identification, Trials, averaged
+from needleplan.identification._identification import Finding, Identification, Trials, averaged, undetermined
 from needleplan.identification.friction_candidates import Mask, effective_samples, rmse_n
 from needleplan.models import Fit, FitStatus, RelaxingForce, fit, residual_findings
 from needleplan.models.force import BOUNDARIES
@@ -269,13 +269,7 @@ def identify_relaxing(
     by = "the held-out trials" if trials.holdout else "Schwarz' criterion (nothing is held out)"
     says = f"{by} chose: {chosen.label}, of {len(members)} members"
     choice = Finding("choice of the member", chosen.held_out_rmse_n if trials.holdout else chosen.bic, None, says)
-    remarks = [
-        f"{name} is not identified: any value from {estimate.low:.3g} to {estimate.high:.3g} "
-        f"{estimate.unit} fits".rstrip()
-        for name, estimate in joint_fit.estimates.items()
-        if not estimate.identified
-    ]
-    remarks = [*trials.remarks, *faults, *joint.remarks, *remarks, *joint_fit.trades]
+    remarks = [*trials.remarks, *faults, *joint.remarks, *undetermined(joint_fit.estimates), *joint_fit.trades]
     if not shown:
         remarks.append(
             "there is one speed and no dwell, so that a branch hardly differs from a stiffer spring: branches were not "

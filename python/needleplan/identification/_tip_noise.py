@@ -18,7 +18,7 @@ from enum import StrEnum
 
 import numpy as np
 
-from needleplan.artifacts import short_html, short_repr
+from needleplan.artifacts import ShortRepr
 from needleplan.errors import DataError, Mistake
 from needleplan.signals import Array, Record
 
@@ -51,7 +51,7 @@ class NoiseStatus(StrEnum):
 
 
 @dataclass(frozen=True)
-class TipNoise:
+class TipNoise(ShortRepr):
     """Noise of the heading per insertion step: standard deviation with 95 % interval, and `[motion] tip_noise`.
 
     `probabilities` are P(0), P(+-1) ... for the estimated standard deviation `sd_rad`; `low` and `high` are the
@@ -69,9 +69,6 @@ class TipNoise:
     replicates: int
     degrees: int
     says: str
-
-    __repr__ = short_repr
-    _repr_html_ = short_html
 
     @property
     def ok(self) -> bool:

@@ -9,7 +9,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from needleplan.artifacts import short_html, short_repr
+from needleplan.artifacts import ShortRepr
 from needleplan.config import (
     Choice,
     Commented,
@@ -40,7 +40,7 @@ _MODELS: dict[str, type[DepthForce]] = {each.name: each for each in (ForceModel1
 
 
 @dataclass(frozen=True)
-class ForcePrediction:
+class ForcePrediction(ShortRepr):
     """The axial force along a motion, computed without a force sensor; arrays have the shape (samples,).
 
     `outside` marks samples deeper than the identification, or faster than its speed by more than 10 %.
@@ -49,9 +49,6 @@ class ForcePrediction:
     motion: Motion
     force_n: Array
     outside: NDArray[np.bool_]
-
-    __repr__ = short_repr
-    _repr_html_ = short_html
 
 
 def _parameters_of(model: type[DepthForce]) -> Rule:
@@ -98,7 +95,7 @@ class CombinationTable(ConfigTable, key="combination", error=ModelError, between
 
 
 @dataclass(frozen=True)
-class Combination:
+class Combination(ShortRepr):
     """A needle in a tissue at a speed, with the identified model of the axial force.
 
     - `velocity_mm_s`: speed of the identification; the model holds for this speed only.
@@ -120,9 +117,6 @@ class Combination:
     intervals: dict[str, tuple[float, float]] = field(default_factory=dict)
     mae_n: float | None = None
     digests: tuple[str, ...] = ()
-
-    __repr__ = short_repr
-    _repr_html_ = short_html
 
     def __post_init__(self) -> None:
         try:

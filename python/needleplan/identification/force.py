@@ -14,7 +14,7 @@ from needleplan.identification._between_trials import with_scatter
 from needleplan.identification._force_faults import without_faults
 from needleplan.identification._force_figure import draw_force
 from needleplan.identification._force_record import force_drops, has_retraction, starting_force
-from needleplan.identification._identification import Finding, Identification, averaged, trials_by_role
+from needleplan.identification._identification import Finding, Identification, averaged, trials_by_role, undetermined
 from needleplan.identification._passes import FilterRun, identify_by_passes, mean_absolute_error
 from needleplan.identification._relaxing_force import identify_relaxing
 from needleplan.models import Fit, FitStatus, Model, fit, residual_findings
@@ -161,7 +161,7 @@ def fit_force(begin: DepthForce, train: Sequence[Record], sensor: MovingAverage,
 
 
 def _bounds(model: Model) -> dict[str, tuple[float, float]]:
-    """Return the bounds of a fit that keep g above 0: those of f1 of Model II."""
+    """Return bounds of a fit that keep g above 0; they limit f1 of Model II."""
     known = model.parameters()["f1"]
     return {"f1": (max(-_EDGE * model.f2, known.lower), known.upper)} if isinstance(model, ForceModel2) else {}
 
@@ -234,12 +234,7 @@ def _halves(result: Fit, train: Sequence[Record]) -> tuple[float, float]:
 
 def _limits(result: Fit, model: DepthForce, train: Sequence[Record]) -> list[str]:
     """Return remarks about parameters that the data do not determine, the fixed scale, and different speeds."""
-    remarks = [
-        f"{name} is not identified: any value from {estimate.low:.3g} to {estimate.high:.3g} "
-        f"{estimate.unit} fits".rstrip()
-        for name, estimate in result.estimates.items()
-        if not estimate.identified
-    ]
+    remarks = undetermined(result.estimates)
     remarks += result.trades
     if not has_retraction(train):
         remarks.append(

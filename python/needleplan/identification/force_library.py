@@ -11,7 +11,7 @@ from typing import Self
 
 import numpy as np
 
-from needleplan.artifacts import call_repr, short_html, short_repr, write_whole
+from needleplan.artifacts import CallRepr, ShortRepr, write_whole
 from needleplan.config import ConfigTable, TableList, Text, parse_toml, ruled, shipped_names, text_of, toml_text
 from needleplan.errors import DataError, Mistake, ModelError
 from needleplan.identification._identification import Identification
@@ -34,7 +34,7 @@ class _LibraryTable(ConfigTable, error=ModelError, schema="needleplan.force-libr
 
 
 @dataclass(frozen=True)
-class Match:
+class Match(CallRepr):
     """A combination of a library that matches a search.
 
     `velocity_ratio` is the speed of the combination divided by the requested speed, or 1 if no speed was requested.
@@ -44,11 +44,9 @@ class Match:
     combination: Combination
     velocity_ratio: float
 
-    __repr__ = call_repr
-
 
 @dataclass(frozen=True)
-class ForceLibrary:
+class ForceLibrary(ShortRepr):
     """Identified combinations of needle, tissue and speed.
 
     Raises ModelError if two combinations have the same needle, tissue and speed. Case and repeated spaces of the names
@@ -57,9 +55,6 @@ class ForceLibrary:
 
     combinations: tuple[Combination, ...] = ()
     title: str = ""
-
-    __repr__ = short_repr
-    _repr_html_ = short_html
 
     def __post_init__(self) -> None:
         first: dict[tuple[str, str, float], int] = {}

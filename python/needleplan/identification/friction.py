@@ -13,7 +13,7 @@ import numpy as np
 from needleplan.errors import DataError, Mistake
 from needleplan.identification._between_trials import with_scatter
 from needleplan.identification._force_faults import without_faults
-from needleplan.identification._identification import Finding, Identification, trials_by_role
+from needleplan.identification._identification import Finding, Identification, trials_by_role, undetermined
 from needleplan.identification._moving_mass import FrictionOnSensor, moving_mass, on_sensor, stored, with_velocity
 from needleplan.identification.friction_candidates import EXPONENTS, Mask, Score, candidates, fit_all, split
 from needleplan.models import Fit, fit, residual_findings, simulate
@@ -196,12 +196,7 @@ def _findings(scores: Sequence[Score], held_out: bool) -> list[Finding]:
 
 def _limits(scores: Sequence[Score], final: Fit) -> list[str]:
     """Return remarks about parameters that the data do not determine."""
-    remarks = [
-        f"{name} is not identified: any value from {estimate.low:.3g} to {estimate.high:.3g} "
-        f"{estimate.unit} fits".rstrip()
-        for name, estimate in final.estimates.items()
-        if not estimate.identified and name != "mass_kg"
-    ]
+    remarks = undetermined({name: estimate for name, estimate in final.estimates.items() if name != "mass_kg"})
     remarks += final.trades
     if not final.ok:
         remarks.append(f"the fit of {scores[0].candidate.label} ended with: {final.status}")

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from needleplan.artifacts import call_repr
+from needleplan.artifacts import CallRepr
 from needleplan.models import Fit, Model, fit, simulate
 from needleplan.models.friction import (
     AveragedLuGre,
@@ -38,18 +38,16 @@ Mask = Callable[[Record], Any]
 
 
 @dataclass(frozen=True)
-class Candidate:
+class Candidate(CallRepr):
     """A model with initial parameters, and the names of the parameters that are fitted."""
 
     label: str
     model: Model
     free: tuple[str, ...]
 
-    __repr__ = call_repr
-
 
 @dataclass(frozen=True)
-class Score:
+class Score(CallRepr):
     """A fitted candidate with its RMSE (N) on held-out samples and Schwarz' criterion `bic`.
 
     `bic` uses the effective number of samples (`effective_samples`). Only differences of `bic` between candidates are
@@ -60,8 +58,6 @@ class Score:
     fit: Fit
     held_out_rmse_n: float
     bic: float
-
-    __repr__ = call_repr
 
 
 def candidates(

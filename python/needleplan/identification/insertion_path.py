@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from needleplan.artifacts import call_repr
+from needleplan.artifacts import CallRepr
 from needleplan.devices import Health, PoseSample, StageSample
 from needleplan.errors import DataError, Mistake
 from needleplan.identification.space_curvature import SpaceInsertion, entry_of
@@ -36,7 +36,7 @@ _NANO = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
-class InsertionPath:
+class InsertionPath(CallRepr):
     """The tip of a recorded insertion.
 
     `record` has one row for each pose of the tracker: depth, velocity, roll, and the position in the axes of the entry.
@@ -47,8 +47,6 @@ class InsertionPath:
     record: Record
     depth_mm: Array
     points_mm: Array
-
-    __repr__ = call_repr
 
 
 def insertion_path(insertion: SpaceInsertion, scenario: SpaceScenario, role: Role = Role.TRAIN) -> InsertionPath:

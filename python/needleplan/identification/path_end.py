@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from needleplan.artifacts import short_html, short_repr
+from needleplan.artifacts import ShortRepr
 from needleplan.devices import FibreSample, ImageSample, PoseSample, StageSample, Stamp
 from needleplan.errors import DataError, Mistake
 from needleplan.estimation import Registration, TipFilter, TipSettings
@@ -69,7 +69,7 @@ class _Sensors:
 
 
 @dataclass(frozen=True)
-class PredictedEnd:
+class PredictedEnd(ShortRepr):
     """Predicted position (mm) of the tip at the depth `depth_mm`, in the frame of the records.
 
     - `y_mm`, `z_mm`: predicted position. All values of z are None if z_mm is missing or constant in a record.
@@ -90,9 +90,6 @@ class PredictedEnd:
     before: TipPrediction
     measured_mm: tuple[float, float | None] | None
     remarks: tuple[str, ...] = ()
-
-    __repr__ = short_repr
-    _repr_html_ = short_html
 
     @property
     def error_mm(self) -> float | None:

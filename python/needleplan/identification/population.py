@@ -19,7 +19,7 @@ from functools import cache
 
 import numpy as np
 
-from needleplan.artifacts import short_html, short_repr
+from needleplan.artifacts import ShortRepr
 from needleplan.errors import DataError, Mistake
 from needleplan.identification._correlated_noise import Marginal
 from needleplan.signals import Array
@@ -65,7 +65,7 @@ def setup_mm(length_mm: float) -> float:
 
 
 @dataclass(frozen=True)
-class InsertionForecast:
+class InsertionForecast(ShortRepr):
     """Forecast of p quantities in the next insertion.
 
     Parameters
@@ -94,9 +94,6 @@ class InsertionForecast:
     high: Array
     drift: float
     checked: int = 0
-
-    __repr__ = short_repr
-    _repr_html_ = short_html
 
     @property
     def regions(self) -> list[tuple[float, float]]:

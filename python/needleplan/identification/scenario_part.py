@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from needleplan.artifacts import call_repr
+from needleplan.artifacts import CallRepr
 from needleplan.config import raw_of, toml_text
 from needleplan.errors import DataError, Mistake
 from needleplan.identification._curvature_trial import insertion_of
@@ -39,7 +39,7 @@ class PathPiece:
 
 
 @dataclass(frozen=True)
-class ScenarioPart:
+class ScenarioPart(CallRepr):
     """A scenario with the identified needle and tip noise, and remarks on the identification.
 
     `noise` is the estimated tip noise; None for a single insertion, which does not determine noise. The scenario keeps
@@ -50,8 +50,6 @@ class ScenarioPart:
     pieces: tuple[PathPiece, ...]
     noise: TipNoise | None
     remarks: tuple[str, ...]
-
-    __repr__ = call_repr
 
     def lines(self) -> list[str]:
         """Return the lines of the tables [needle], [[needle.layer]] and [motion] of the scenario file."""

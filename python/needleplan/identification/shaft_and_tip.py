@@ -15,7 +15,7 @@ from needleplan.errors import DataError, Mistake
 from needleplan.identification._force_faults import without_faults
 from needleplan.identification._force_figure import draw_force
 from needleplan.identification._force_record import has_retraction
-from needleplan.identification._identification import Finding, Identification, averaged, trials_by_role
+from needleplan.identification._identification import Finding, Identification, averaged, trials_by_role, undetermined
 from needleplan.identification._passes import mean_absolute_error
 from needleplan.identification.force import settled
 from needleplan.models import Estimate, Fit, FitStatus, ShaftAndTip, fit, residual_findings
@@ -158,11 +158,7 @@ def _beside_noise(fits: Sequence[Fit], noise: Sequence[Record]) -> list[Finding]
 
 def _limits(fits: Sequence[Fit], estimates: dict[str, Estimate], train: Sequence[Record]) -> list[str]:
     """Return remarks on parameters that the data do not determine, fits that ended early, and missing retractions."""
-    remarks = [
-        f"{name} is not identified: any value from {estimate.low:.3g} to {estimate.high:.3g} {estimate.unit} fits"
-        for name, estimate in estimates.items()
-        if not estimate.identified
-    ]
+    remarks = undetermined(estimates)
     names = [record.trial or "the trial" for record in train]
     remarks += [f"{name}: {trade}" for name, trial_fit in zip(names, fits, strict=True) for trade in trial_fit.trades]
     remarks += [

@@ -128,7 +128,7 @@ def _mean(estimates: Sequence[Estimate]) -> Estimate:
 
 
 def _draw(figure: Figure, ends: Sequence[tuple[float, Array]], sensors: FibreSensors, model: LayeredShape) -> None:
-    """Draw the measured curvatures with those of the model, and the shape at the mean depth."""
+    """Draw measured and modelled curvatures, and the shape at the mean depth."""
     depth = float(np.mean([depth for depth, _ in ends]))
     shape = model.shape(depth, np.linspace(0.0, depth, 201))
     above, below = figure.subplots(2, 1, height_ratios=(2, 1))  # curvatures above the shape, which is long and thin

@@ -18,7 +18,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from needleplan.anatomy import SpaceScenario
-from needleplan.artifacts import short_html, short_repr
+from needleplan.artifacts import ShortRepr
 from needleplan.devices import Health, PoseSample, StageSample
 from needleplan.errors import DataError, Mistake
 from needleplan.estimation.registration import Registration
@@ -36,7 +36,7 @@ _POSES = 5
 
 
 @dataclass(frozen=True)
-class SpaceInsertion:
+class SpaceInsertion(ShortRepr):
     """Samples of one insertion, in the order of their arrival, with the registration and the zeros of the stage.
 
     `registration` leads to the frame of the lattice. `entry_depth_mm` and `roll_left_rad` are the zeros of the stage.
@@ -49,12 +49,9 @@ class SpaceInsertion:
     entry_depth_mm: float = 0.0
     roll_left_rad: float = 0.0
 
-    __repr__ = short_repr
-    _repr_html_ = short_html
-
 
 @dataclass(frozen=True)
-class SpaceCurvature:
+class SpaceCurvature(ShortRepr):
     """Ratio of the true to the planned curvature.
 
     - `ratio`, `sd`: mean over the insertions, and its standard deviation.
@@ -66,9 +63,6 @@ class SpaceCurvature:
     sd: float
     interval: tuple[float, float]
     insertions: tuple[tuple[str, float, float], ...]
-
-    __repr__ = short_repr
-    _repr_html_ = short_html
 
     def __str__(self) -> str:
         low, high = self.interval

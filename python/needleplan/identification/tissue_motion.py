@@ -16,7 +16,7 @@ from scipy import stats
 
 from needleplan.errors import DataError, Mistake
 from needleplan.identification._between_trials import with_scatter
-from needleplan.identification._identification import Finding, Identification, averaged, trials_by_role
+from needleplan.identification._identification import Finding, Identification, averaged, trials_by_role, undetermined
 from needleplan.models import Fit, LumpedLuGre, LumpedOnTissue, fit, residual_findings, simulate
 from needleplan.models.tissue import SlowObserver, TuningStatus, fit_on_tissue, lag_with_sd, tune_slow_observer
 from needleplan.plotting.canvas import BLUE, GREY, VERMILLION, title
@@ -247,12 +247,7 @@ def _moves(result: Fit, rigid: Fit) -> Finding:
 
 def _limits(result: Fit, tuned: SlowObserver, excitations: Sequence[Excitation]) -> list[str]:
     """Return remarks about parameters that the records do not determine, and about records that would help."""
-    remarks = [
-        f"{name} is not identified: any value from {estimate.low:.3g} to {estimate.high:.3g} "
-        f"{estimate.unit} fits".rstrip()
-        for name, estimate in result.estimates.items()
-        if not estimate.identified
-    ]
+    remarks = undetermined(result.estimates)
     if not result.ok:
         remarks.append(f"the fit ended with: {result.status}")
     amplitudes = [excitation.amplitude_mm for excitation in excitations]

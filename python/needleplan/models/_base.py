@@ -28,7 +28,7 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from needleplan.artifacts import call_repr, short_html
+from needleplan.artifacts import CallRepr
 from needleplan.errors import Mistake, ModelError
 from needleplan.models._parameter import Parameter, parameter_section, parameters_of
 from needleplan.signals import Array, Motion
@@ -65,7 +65,7 @@ class Channel(StrEnum):
 
 
 @dataclass(frozen=True)
-class Model(ABC):
+class Model(CallRepr, ABC):
     """Abstract base class of all mechanical models.
 
     A state has the shape (n, ...), and every field of a motion has the shape (...). One call therefore serves a single
@@ -79,8 +79,6 @@ class Model(ABC):
     {'curvature_per_mm': 0.01, 'heading_rad': 0.0, 'offset_mm': 0.0}
     """
 
-    _repr_html_ = short_html
-
     name: ClassVar[str]
     """Name of the model in model files and on the command line."""
 
@@ -90,8 +88,6 @@ class Model(ABC):
     def __init_subclass__(cls, **options: Any) -> None:
         """Insert the list of parameters into the docstring of a subclass, unless the docstring already has one."""
         super().__init_subclass__(**options)
-        if "__repr__" not in cls.__dict__:
-            type.__setattr__(cls, "__repr__", call_repr)  # an assignment would hide the types from editors
         section = parameter_section(cls)
         if cls.__doc__ and section and "Parameters\n" not in cls.__doc__:
             words, examples, code = inspect.cleandoc(cls.__doc__).partition("\nExamples\n")

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import StrEnum
 
-from needleplan.artifacts import call_repr, short_html, short_repr
+from needleplan.artifacts import CallRepr, ShortRepr
 from needleplan.models._base import Model
 from needleplan.signals import Array
 
@@ -34,7 +34,7 @@ class FitStatus(StrEnum):
 
 
 @dataclass(frozen=True)
-class Estimate:
+class Estimate(CallRepr):
     """An identified parameter value with its uncertainty.
 
     Parameters
@@ -68,12 +68,9 @@ class Estimate:
     identified: bool
     between_sd: float | None = None
 
-    __repr__ = call_repr
-    _repr_html_ = short_html
-
 
 @dataclass(frozen=True)
-class Fit:
+class Fit(ShortRepr):
     """An identified model with its uncertainty and residuals.
 
     Parameters
@@ -133,12 +130,9 @@ class Fit:
     undetermined: tuple[dict[str, float], ...]
     evaluations: int
 
-    __repr__ = short_repr
-    _repr_html_ = short_html
-
     @property
     def trades(self) -> tuple[str, ...]:
-        """A sentence for every set of parameters of which the data determine a combination only."""
+        """A sentence for every set of parameters that the data determine only in combination."""
         sentences = []
         for direction in self.undetermined:
             names = sorted(direction, key=lambda name: -abs(direction[name]))

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from needleplan.artifacts import call_repr, short_html
+from needleplan.artifacts import CallRepr
 from needleplan.errors import Mistake, ModelError
 from needleplan.models._base import Model
 from needleplan.models.effects import AugmentedModel
@@ -35,7 +35,7 @@ _SPACING_MM = 0.5
 
 
 @dataclass(frozen=True, eq=False)
-class InPlane:
+class InPlane(CallRepr):
     """Path of the tip in the plane as a function of the inserted length.
 
     Parameters
@@ -70,9 +70,6 @@ class InPlane:
     along_mm: Array
     heading_rad: float
     elevation_rad: float
-
-    __repr__ = call_repr
-    _repr_html_ = short_html
 
     @property
     def curvature_per_mm(self) -> Array:

@@ -10,7 +10,7 @@ from enum import StrEnum
 from functools import cache
 from typing import Any
 
-from needleplan.artifacts import call_repr, short_html
+from needleplan.artifacts import CallRepr
 
 __all__ = ["Parameter", "Scale", "constant", "parameter", "parameter_section", "parameters_of"]
 
@@ -37,7 +37,7 @@ class Scale(StrEnum):
 
 
 @dataclass(frozen=True)
-class Parameter:
+class Parameter(CallRepr):
     """Declaration of a model parameter: unit, range, scale and meaning.
 
     Parameters
@@ -70,9 +70,6 @@ class Parameter:
     scale: Scale
     typical: float
     free: bool
-
-    __repr__ = call_repr
-    _repr_html_ = short_html
 
     def in_range(self, value: float) -> float | None:
         """Return a value within the range, the bound for a value beyond it by rounding errors, or None.

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from needleplan.artifacts import short_html
+from needleplan.artifacts import CallRepr
 from needleplan.errors import DataError, Mistake
 from needleplan.models._estimates import Fit
 from needleplan.signals import UNITS, Array, Motion, Record
@@ -38,7 +38,7 @@ _FEWEST = 20
 
 
 @dataclass(frozen=True)
-class Finding:
+class Finding(CallRepr):
     """Result of one residual test.
 
     Parameters
@@ -67,8 +67,6 @@ class Finding:
     statistic: float
     p_value: float | None
     says: str
-
-    _repr_html_ = short_html
 
 
 def residual_findings(found: Fit, records: Sequence[Record]) -> tuple[Finding, ...]:

@@ -27,7 +27,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from needleplan.artifacts import short_html, short_repr
+from needleplan.artifacts import ShortRepr
 from needleplan.errors import Mistake, ModelError
 from needleplan.models._base import LinearStateModel, Model, SelfIntegratingModel
 from needleplan.signals import Array, AveragedMotion, Motion, recurrence
@@ -71,7 +71,7 @@ def _direct(model: Model) -> Callable[[Motion], Array] | None:
 
 
 @dataclass(frozen=True)
-class Trajectory:
+class Trajectory(ShortRepr):
     """Result of a simulation.
 
     Parameters
@@ -96,9 +96,6 @@ class Trajectory:
     motion: Motion
     states: Array
     output: Array
-
-    __repr__ = short_repr
-    _repr_html_ = short_html
 
     @property
     def finite(self) -> bool:

@@ -49,7 +49,14 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, get_type_hints
 
-from needleplan.artifacts import Parent, digest, relative_path, short_html, short_repr, version, write_whole
+from needleplan.artifacts import (
+    Parent,
+    ShortRepr,
+    digest,
+    relative_path,
+    version,
+    write_whole,
+)
 from needleplan.config import (
     Choice,
     ConfigTable,
@@ -209,7 +216,7 @@ class _ModelTable(ConfigTable, error=ModelError, schema="needleplan.model/1", be
 
 
 @dataclass(frozen=True)
-class ModelFile:
+class ModelFile(ShortRepr):
     """An identified model with the intervals of its parameters, its parents, and remarks of its identification.
 
     Parameters
@@ -238,9 +245,6 @@ class ModelFile:
     >>> npl.models.ModelFile.from_toml(written).model
     Bicycle(curvature_per_mm=0.01, heading_rad=0.0, offset_mm=0.0)
     """
-
-    __repr__ = short_repr
-    _repr_html_ = short_html
 
     model: Model
     estimates: Mapping[str, Estimate] = field(default_factory=dict)

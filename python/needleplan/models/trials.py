@@ -53,7 +53,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import chdtrc, ndtri, stdtr, stdtrit
 
-from needleplan.artifacts import short_html, short_repr
+from needleplan.artifacts import ShortRepr
 from needleplan.errors import DataError, Mistake
 from needleplan.models._estimates import Estimate
 from needleplan.models._parameter import Parameter
@@ -79,7 +79,7 @@ def _quantile(degrees: int, level: float) -> float:
 
 
 @dataclass(frozen=True)
-class TrialMean:
+class TrialMean(ShortRepr):
     """Mean over trials, or a linear combination of the coefficients of a regression over trials.
 
     Parameters
@@ -107,9 +107,6 @@ class TrialMean:
     degrees: int
     scatter_sd: float | None
     between_sd: float | None
-
-    __repr__ = short_repr
-    _repr_html_ = short_html
 
     def interval(self, level: float = _LEVEL) -> tuple[float, float]:
         """Return the ends of the interval (5) of the mean, which holds theta with the probability `level`."""
@@ -171,7 +168,7 @@ class TrialMean:
 
 
 @dataclass(frozen=True)
-class TrialRegression:
+class TrialRegression(ShortRepr):
     """Regression over trials: coefficients b of equation (3) with their covariance.
 
     Parameters
@@ -193,9 +190,6 @@ class TrialRegression:
     degrees: int
     scatter_sd: float
     between_sd: float | None
-
-    __repr__ = short_repr
-    _repr_html_ = short_html
 
     def combination(self, weights: ArrayLike) -> TrialMean:
         """Return the sum of the coefficients with `weights`, shape (k,)."""

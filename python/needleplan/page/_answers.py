@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from needleplan.planning import Path, PolicyTable
     from needleplan.recording import Recording
 
-__all__ = ["Opened", "Page", "Unknown"]
+__all__ = ["InsertingPage", "Opened", "Page", "Unknown"]
 
 # Largest number of executions of one request.
 _MOST_RUNS = 100_000
@@ -40,6 +40,34 @@ _MOST_RUNS = 100_000
 
 class Unknown(Exception):
     """The server has no table of the plan that a request names, for example because it was restarted."""
+
+
+class InsertingPage:
+    """Base of the pages of a plan, which show insertions of the lab twin."""
+
+    @cached_property
+    def _twin(self) -> LabTwin:
+        """The lab twin. It needs the extra `lab`, which a page without an insertion does not."""
+        from needleplan.page._inserted import LabTwin
+
+        return LabTwin()
+
+    def inserted(self, request: Request) -> bytes:
+        """Return the message on the insertion up to now, as for a recording; stop it first if `stop` is true.
+
+        Raises Unknown if there was none.
+        """
+        if request.get("stop"):
+            self._twin.stop()
+        found = self._twin.state()
+        if found is None:
+            raise Unknown
+        return found
+
+    def _stop_twin(self) -> None:
+        """Stop an insertion that is running."""
+        if "_twin" in vars(self):  # somebody has inserted
+            self._twin.stop()
 
 
 @dataclass(frozen=True)
@@ -73,7 +101,7 @@ class Opened:
         return cls(scenario, str(recording.path), start=start, recording=recording)
 
 
-class Page:
+class Page(InsertingPage):
     """Answers the requests of the page; it has no state but the tables of its queue."""
 
     document = "index.html"
@@ -88,13 +116,6 @@ class Page:
             self.queue.keep(opened.table)
         else:
             self.queue.submit("", draft_of(opened.scenario))  # solved while the browser starts
-
-    @cached_property
-    def _twin(self) -> LabTwin:
-        """The lab twin. It needs the extra `lab`, which a page without an insertion does not."""
-        from needleplan.page._inserted import LabTwin
-
-        return LabTwin()
 
     @property
     def title(self) -> str:
@@ -121,8 +142,7 @@ class Page:
 
     def close(self) -> None:
         """End the threads of the queue, and stop an insertion that is running."""
-        if "_twin" in vars(self):  # somebody has inserted
-            self._twin.stop()
+        self._stop_twin()
         self.queue.close()
 
     def submit(self, request: Request) -> Future[PolicyTable]:
@@ -225,18 +245,6 @@ class Page:
         start, _ = start_of(request, table)
         self._twin.begin(table, table.path(start).start, request)  # `path` checks the start
         return self.inserted(request)
-
-    def inserted(self, request: Request) -> bytes:
-        """Return the message on the insertion up to now, as for a recording; stop it first if `stop` is true.
-
-        Raises Unknown if there was none.
-        """
-        if request.get("stop"):
-            self._twin.stop()
-        found = self._twin.state()
-        if found is None:
-            raise Unknown
-        return found
 
     def page(self, request: Request) -> bytes:
         """Return the page of the plan of a request as one HTML file that needs no server."""

@@ -12,7 +12,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from needleplan.artifacts import FORMATS, FileKind, digest, file_format, short_html, short_repr, version_advice
+from needleplan.artifacts import (
+    FORMATS,
+    FileKind,
+    ShortRepr,
+    digest,
+    file_format,
+    version_advice,
+)
 from needleplan.errors import DataError, Mistake
 from needleplan.scenario import shipped
 
@@ -59,7 +66,7 @@ class TrialCurves:
 
 
 @dataclass(frozen=True)
-class DiagnosisFile:
+class DiagnosisFile(ShortRepr):
     """A diagnosis with its curves.
 
     Attributes
@@ -81,9 +88,6 @@ class DiagnosisFile:
     curves: tuple[TrialCurves, ...] = ()
     next_motion: NDArray[np.float32] | None = None
     problem: str = ""
-
-    __repr__ = short_repr
-    _repr_html_ = short_html
 
     @classmethod
     def read(cls, path: str | os.PathLike[str]) -> DiagnosisFile:

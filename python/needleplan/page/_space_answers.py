@@ -13,7 +13,7 @@ import numpy as np
 
 from needleplan.anatomy import OBSTACLE, OUTSIDE, TARGET, SpaceScenario, nearest_labels
 from needleplan.errors import InputError, Mistake
-from needleplan.page._answers import Unknown
+from needleplan.page._answers import InsertingPage, Unknown
 from needleplan.page._export import page_html
 from needleplan.page._files import LANGUAGES
 from needleplan.page._packing import pack
@@ -29,7 +29,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from needleplan.anatomy import Anatomy
-    from needleplan.page._inserted import LabTwin
     from needleplan.page._recorded_space import SpaceRun
 
 __all__ = ["SpacePage"]
@@ -42,7 +41,7 @@ _FIELD_STEPS = 255
 _CLEARANCE_STEPS = 8
 
 
-class SpacePage:
+class SpacePage(InsertingPage):
     """Answers the requests of the 3D page. The lattice is solved in a thread that begins at once.
 
     Parameters
@@ -107,8 +106,7 @@ class SpacePage:
 
     def close(self) -> None:
         """Stop an insertion that is running, and end the thread, once a solve that has begun is done."""
-        if "_twin" in vars(self):  # somebody has inserted
-            self._twin.stop()
+        self._stop_twin()
         self._pool.shutdown(wait=True, cancel_futures=True)
 
     def volume(self, request: Request) -> bytes:
@@ -192,31 +190,12 @@ class SpacePage:
         entries = self._maps.of(request)
         return {"promise": entries.table.success_under(self._uncertainty, entries.poses[number]).record()}
 
-    @cached_property
-    def _twin(self) -> LabTwin:
-        """The lab twin. It needs the extra `lab`, which a page without an insertion does not."""
-        from needleplan.page._inserted import LabTwin
-
-        return LabTwin()
-
     def insert(self, request: Request) -> bytes:
         """Begin an insertion in the lab twin from the entry of a request, and return the first message on it."""
         entries = self._maps.of(request)
         start = SpacePose(*entries.poses[self._number(request)].tolist())
         self._twin.begin(entries.table, start, request)
         return self.inserted({})
-
-    def inserted(self, request: Request) -> bytes:
-        """Return the message on the insertion up to now, as for a recording; stop it first if `stop` is true.
-
-        Raises Unknown if there was none.
-        """
-        if request.get("stop"):
-            self._twin.stop()
-        found = self._twin.state()
-        if found is None:
-            raise Unknown
-        return found
 
     def table(self, request: Request) -> bytes:
         """Return the policy table as a file."""
@@ -236,7 +215,7 @@ class SpacePage:
         return text.encode()
 
     def _number(self, request: Request) -> int:
-        """Return the number of the entry of a request, by default that of the best. Raises InputError."""
+        """Return the number of the entry in a request; the default is the best entry. Raises InputError."""
         entries = self._maps.of(request)
         number = request.get("number", entries.first())
         if not isinstance(number, int) or isinstance(number, bool) or not 0 <= number < len(entries.success):

@@ -8,9 +8,9 @@ from needleplan.planning._execution import MOST_STEPS, Path, Rollouts, wilson
 from needleplan.planning._guide import guide_pose
 from needleplan.planning._lattice import Progress, Stats, Status, heading_refinement, lattice_of
 from needleplan.planning._lookup import Decision, Decisions, Expectations
-from needleplan.planning._mat_file import read_mat, write_mat
-from needleplan.planning._plan import plan, read_problem
+from needleplan.planning._mat_file import write_mat
 from needleplan.planning._plan_figure import draw_plan
+from needleplan.planning._planner import plan, read_problem
 from needleplan.planning._poses import Edge, Entry, Pose
 from needleplan.planning._promise import Promise, PromisingTable
 from needleplan.planning._resolution import Resolution, disagrees, resolution, resolution_of, what_helps
@@ -97,7 +97,6 @@ __all__ = [
     "planned_noise",
     "rank_entries",
     "rank_for_targets",
-    "read_mat",
     "read_problem",
     "resolution",
     "resolution_of",

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from needleplan.anatomy import OBSTACLE, OUTSIDE, TARGET, SpaceScenario
-from needleplan.artifacts import short_html, short_repr
+from needleplan.artifacts import ShortRepr
 from needleplan.errors import Mistake, ScenarioError
 from needleplan.planning._planner import plan_plane
 from needleplan.planning._space_pose import SpacePose
@@ -39,7 +39,7 @@ _JOINED_MM = 0.05
 
 
 @dataclass(frozen=True, eq=False)
-class AnatomyPlane:
+class AnatomyPlane(ShortRepr):
     """A plane through an anatomy, its plan, and the best entry of this plan.
 
     `angle_rad` is the angle of the plane about the axis, from y to z. `origin_mm`, shape (3,), and `axes`, shape (2,
@@ -53,9 +53,6 @@ class AnatomyPlane:
     entry: Pose
     success: float
     seconds: float
-
-    __repr__ = short_repr
-    _repr_html_ = short_html
 
     def pose(self, pose: Pose) -> SpacePose:
         """Convert a pose in the plane to a 3D pose in the frame of the lattice (mm)."""

@@ -312,7 +312,7 @@ class Execution:
         """Return which executions reach the target although the true anatomy or curvature differs from the plan.
 
         One execution begins at each of `starts`, shape (n, 4); an execution from a start of NaN fails. `truths`, shape
-        (n, 5), are the differences, as in `plane_truths`. The tip noise is that of the first runs of `rollouts`.
+        (n, 6), are the differences, as in `plane_truths`. The tip noise is that of the first runs of `rollouts`.
         """
         known = ~np.isnan(starts[:, 0])
         places = np.where(known[:, None], starts, _SOMEWHERE)

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from needleplan.artifacts import call_repr, short_html, short_repr
+from needleplan.artifacts import CallRepr, ShortRepr
 from needleplan.config import Choice, Integer, Maybe, Number
 from needleplan.errors import MdpError, Mistake
 from needleplan.extras.progress_bar import progress_bar, solve_text
@@ -39,7 +39,7 @@ class _MdpMethod(StrEnum):
 
 
 @dataclass(frozen=True, eq=False)
-class Solution:
+class Solution(ShortRepr):
     """The solution of a Markov decision process.
 
     Attributes
@@ -65,8 +65,6 @@ class Solution:
     policy: NDArray[np.uint32]
     stats: Stats
     method: str = "auto"
-    __repr__ = short_repr
-    _repr_html_ = short_html
 
 
 def solve(
@@ -205,7 +203,7 @@ def value_iteration(
 
 
 @dataclass(frozen=True, eq=False)
-class Dependencies:
+class Dependencies(CallRepr):
     """Dependency maps of states and partitions (Table 6.1 of the thesis).
 
     Attributes
@@ -226,9 +224,6 @@ class Dependencies:
 
     states: tuple[NDArray[np.uint32], ...]
     partitions: tuple[dict[int, NDArray[np.uint32]], ...]
-
-    __repr__ = call_repr
-    _repr_html_ = short_html
 
 
 def dependencies(mdp: TabularMdp, labels: ArrayLike) -> Dependencies:

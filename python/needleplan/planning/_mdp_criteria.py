@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from needleplan.artifacts import short_html, short_repr
+from needleplan.artifacts import ShortRepr
 from needleplan.config import Integer, Maybe, Number
 from needleplan.errors import MdpError, Mistake
 from needleplan.planning._lattice import Status, compiled_call
@@ -112,7 +112,7 @@ def evaluate(mdp: TabularMdp, policy: ArrayLike, *, tolerance: float = 0.01, max
 
 
 @dataclass(frozen=True, eq=False)
-class FiniteHorizon:
+class FiniteHorizon(ShortRepr):
     """The solution of a Markov decision process that ends after a number of steps.
 
     Attributes
@@ -135,8 +135,6 @@ class FiniteHorizon:
     values: NDArray[np.float64]
     policy: NDArray[np.uint32]
     error_bound: float
-    __repr__ = short_repr
-    _repr_html_ = short_html
 
 
 def finite_horizon(
@@ -190,7 +188,7 @@ def finite_horizon(
 
 
 @dataclass(frozen=True, eq=False)
-class AverageCost:
+class AverageCost(ShortRepr):
     """The optimal average cost (or reward) per step of a Markov decision process.
 
     Attributes
@@ -222,8 +220,6 @@ class AverageCost:
     bias: NDArray[np.float64]
     policy: NDArray[np.uint32]
     status: Status
-    __repr__ = short_repr
-    _repr_html_ = short_html
 
 
 def average_cost(mdp: TabularMdp, *, tolerance: float = 0.01) -> AverageCost:

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from needleplan.artifacts import short_html, short_repr
+from needleplan.artifacts import ShortRepr
 from needleplan.config import Flag, Integer, Number
 from needleplan.errors import MdpError, Mistake
 from needleplan.planning._lattice import Status
@@ -34,7 +34,7 @@ _PATIENCE = 1000
 
 
 @dataclass(frozen=True, eq=False)
-class Reachability:
+class Reachability(ShortRepr):
     """The probability of reaching a goal.
 
     Attributes
@@ -61,8 +61,6 @@ class Reachability:
     policy: NDArray[np.uint32]
     error_bound: float
     status: Status
-    __repr__ = short_repr
-    _repr_html_ = short_html
 
 
 def reachability(

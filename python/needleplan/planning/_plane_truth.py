@@ -43,8 +43,8 @@ def plane_truths(truths: Truths, target_mm: Sequence[float]) -> NDArray[np.float
 
     Parameters
     ----------
-    truths : tuple of numpy.ndarray
-        Rigid motions in three dimensions, and relative curvatures.
+    truths : Truths
+        Rigid motions in three dimensions, relative curvatures, and distance of the coil.
     target_mm : sequence of float
         Centre of the target in the plane.
 
@@ -52,10 +52,11 @@ def plane_truths(truths: Truths, target_mm: Sequence[float]) -> NDArray[np.float
     -------
     numpy.ndarray
         Rows of the turn about the origin (rad), the shifts along x and y, the distance from the plane at the target
-        (mm), and the ratio, shape (n, 5). The target is moved exactly.
+        (mm), the ratio, and the distance of the coil (mm), shape (n, 6). The target is moved exactly.
     """
-    (motions, ratios), (x, y) = truths, target_mm
+    (motions, ratios, coil_mm), (x, y) = truths, target_mm
     at = motions @ np.array([x, y, 0.0, 1.0])
     turn = np.arctan2(motions[:, 1, 0] - motions[:, 0, 1], motions[:, 0, 0] + motions[:, 1, 1])
     sine, cosine = np.sin(turn), np.cos(turn)
-    return np.stack([turn, at[:, 0] - (cosine * x - sine * y), at[:, 1] - (sine * x + cosine * y), at[:, 2], ratios], 1)
+    shift = [at[:, 0] - (cosine * x - sine * y), at[:, 1] - (sine * x + cosine * y), at[:, 2]]
+    return np.stack([turn, *shift, ratios, np.full(len(ratios), coil_mm)], 1)

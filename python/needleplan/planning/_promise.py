@@ -28,9 +28,18 @@ __all__ = ["PROMISED_RUNS", "ErrorDraws", "Promise", "PromisingTable", "Truths",
 PROMISED_RUNS = 2000
 """Number of executions of each part of a promise: its standard error is at most 1.1 percentage points."""
 
-Truths = tuple[NDArray[np.float64], NDArray[np.float64]]
-"""What is true in n executions: the rows of the rigid motions that take believed to true positions (mm), shape
-(n, 3, 4), and the curvatures relative to the planned one, shape (n,)."""
+
+class Truths(NamedTuple):
+    """What is true in n executions.
+
+    `motions` are the rows of the rigid motions that take believed to true positions (mm), shape (n, 3, 4), `ratios` the
+    curvatures relative to the planned one, shape (n,), and `coil_mm` the distance of the coil behind the tip.
+    """
+
+    motions: NDArray[np.float64]
+    ratios: NDArray[np.float64]
+    coil_mm: float = 0.0
+
 
 # Largest number of executions of a part, limited by memory.
 _MOST_RUNS = 1_000_000
@@ -62,10 +71,10 @@ class Promise:
     Parameters
     ----------
     uncertainty : Uncertainty
-        Errors of the entry, the registration and the curvature.
+        Errors of the entry, the registration, the curvature and the tip.
     exact : Success
-        The success if the entry, the registration and the curvature are as planned.
-    entry, registration, curvature : Success or None
+        The success if the entry, the registration and the curvature are as planned, and the tip is known.
+    entry, registration, curvature, tip : Success or None
         The success under one of the errors alone; None if it is known exactly.
     together : Success
         The success under all errors.
@@ -85,6 +94,7 @@ class Promise:
     entry: Success | None
     registration: Success | None
     curvature: Success | None
+    tip: Success | None
     together: Success
 
     def parts(self) -> dict[str, Success]:
@@ -98,7 +108,7 @@ class Promise:
         >>> list(table.success_under(Uncertainty(tre_mm=1.5), table.best_entry(), executions=10).parts())
         ['exact', 'registration', 'together']
         """
-        names = ("exact", "entry", "registration", "curvature", "together")
+        names = ("exact", "entry", "registration", "curvature", "tip", "together")
         return {name: part for name in names if (part := getattr(self, name)) is not None}
 
     def record(self) -> dict[str, Any]:
@@ -126,12 +136,12 @@ class PromisingTable(ABC):
     def success_under(
         self, uncertainty: Uncertainty, pose: Any, *, executions: int = PROMISED_RUNS, seed: int = 0
     ) -> Promise:
-        """Return the success from a pose under errors of the entry, the registration and the curvature.
+        """Return the success from a pose under errors of the entry, the registration, the curvature and the tip.
 
         Parameters
         ----------
         uncertainty : Uncertainty
-            Errors of the entry, the registration and the curvature.
+            Errors of the entry, the registration, the curvature and the tip.
         pose : Entry, Pose, SpacePose or sequence of float
             Where the needle is meant to enter; in the plane with or without bevel.
         executions : int, default 2000
@@ -175,7 +185,8 @@ class PromisingTable(ABC):
     def _success_of(self, uncertainty: Uncertainty, pose: Any, draws: ErrorDraws, seed: int) -> Success:
         starts = self._scattered(pose, uncertainty, draws.entry)
         motions = self._error_in_plan(uncertainty.rigid_error()).motions(draws.registration)
-        return share_of(self._reached(starts, (motions, uncertainty.ratios(draws.curvature)), seed))
+        truths = Truths(motions, uncertainty.ratios(draws.curvature), uncertainty.coil_mm)
+        return share_of(self._reached(starts, truths, seed))
 
     @abstractmethod
     def _exact_success(self, pose: Any, executions: int, seed: int) -> Success:

@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from needleplan.artifacts import short_html, short_repr
+from needleplan.artifacts import ShortRepr
 from needleplan.planning._lattice import heading_variance, success_refinement
 from needleplan.planning._success import Success, SuccessSource
 from needleplan.scenario import Scenario, Transition
@@ -36,7 +36,7 @@ _CELLS = 2.0
 
 
 @dataclass(frozen=True, repr=False)
-class Resolution:
+class Resolution(ShortRepr):
     """Resolution of the grid of a plan, and the predicted success beside that of executions.
 
     Attributes
@@ -73,9 +73,6 @@ class Resolution:
     passage_cells: float
     noise_ratio: float
     warnings: tuple[str, ...]
-
-    __repr__ = short_repr
-    _repr_html_ = short_html
 
     def record(self) -> dict[str, Any]:
         """Return the JSON record: all numbers by name, None for infinite numbers.
@@ -207,7 +204,7 @@ def disagrees(found: Rollouts[Any]) -> bool:
 
 
 def what_helps(scenario: Scenario) -> str:
-    """Return the setting that brings predictions closer to executions, with a value beyond that of the scenario.
+    """Return the setting that brings predictions closer to executions, with a value beyond the scenario's value.
 
     Parameters
     ----------

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, BinaryIO, TypeVar
 import numpy as np
 
 from needleplan.artifacts import path_text, whole_file, write_whole
-from needleplan.errors import InputError, Mistake, TableError
+from needleplan.errors import InputError, Mistake, TableError, reading
 from needleplan.planning._seal import SEAL_BYTES, seal, seal_of_file, verify
 
 if TYPE_CHECKING:
@@ -134,11 +134,8 @@ def read_sealed(
     import h5py
 
     source = path_text(path, TableError, "a table file")
-    try:
+    with reading(path, TableError):
         stream: BinaryIO = io.BytesIO(Path(path).read_bytes()) if in_memory else Path(path).open("rb")  # noqa: SIM115
-    except (OSError, ValueError) as error:
-        reason = f"cannot be read: {getattr(error, 'strerror', None) or error}"
-        raise TableError(reason, source) from error
     with stream:
         _require_sealed(path, stream, key, isolated)
         try:

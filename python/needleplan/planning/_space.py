@@ -10,7 +10,7 @@ import numpy as np
 
 from needleplan import _ppvi
 from needleplan.anatomy import FREE, OBSTACLE, TARGET, SpaceScenario, entered_cells, possible_codes
-from needleplan.artifacts import short_html, short_repr
+from needleplan.artifacts import ShortRepr
 from needleplan.planning._space_path import SpacePaths, space_paths
 from needleplan.planning._space_places import SUCCESS_STEPS
 from needleplan.planning._space_plan import plan_space
@@ -36,7 +36,7 @@ _CELLS_AT_ONCE = 2_000_000
 
 
 @dataclass(frozen=True)
-class SpaceEntry:
+class SpaceEntry(ShortRepr):
     """An entry of an anatomy, with its success and the properties of its path.
 
     Parameters
@@ -71,9 +71,6 @@ class SpaceEntry:
     tilt_cost: float
     expected_success: float
 
-    __repr__ = short_repr
-    _repr_html_ = short_html
-
     def record(self) -> dict[str, Any]:
         """Return the JSON record of the entry: all fields by name, and the keys of `Success.record` for `success`."""
         numbers = {field.name: getattr(self, field.name) for field in fields(self) if field.name != "success"}
@@ -81,7 +78,7 @@ class SpaceEntry:
 
 
 @dataclass(frozen=True, eq=False)
-class EntryMap:
+class EntryMap(ShortRepr):
     """The entry points of an anatomy, each with its best direction.
 
     Parameters
@@ -107,9 +104,6 @@ class EntryMap:
     paths: SpacePaths
     impossible: bool
     stats: dict[str, Any]
-
-    __repr__ = short_repr
-    _repr_html_ = short_html
 
     @property
     def grid(self) -> AnatomyGrid:

@@ -27,7 +27,7 @@ __all__ = ["ResidualSuccess", "success_in_breath"]
 # Largest displacements (mm) of the tissue by residual breathing for which `entry` estimates the success.
 _RESIDUALS_MM = (0.0, 2.5, 5.0, 7.5, 10.0)
 # A motion that moves nothing, and the planned curvature: what executions in another anatomy believe.
-_AS_BELIEVED = np.array([1.0, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 1])
+_AS_BELIEVED = np.array([1.0, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 1, 0])
 
 
 @dataclass(frozen=True)

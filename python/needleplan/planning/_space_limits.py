@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from needleplan.anatomy import SpaceLimits
-from needleplan.artifacts import short_html, short_repr
+from needleplan.artifacts import ShortRepr
 from needleplan.errors import Mistake, ScenarioError
 from needleplan.planning._space_path import space_paths
 
@@ -26,29 +26,23 @@ LENGTHS = ("limits.insertion_mm", "needle.length_mm")
 
 
 @dataclass(frozen=True)
-class LimitCount:
+class LimitCount(ShortRepr):
     """Effect of a limit: its key, and the numbers of entries after (`left`) and before (`before`) the limit."""
 
     key: str
     left: int
     before: int
 
-    __repr__ = short_repr
-    _repr_html_ = short_html
-
     def __str__(self) -> str:
         return f"{self.left} of {self.before} entries left after {self.key}"
 
 
 @dataclass(frozen=True, eq=False)
-class KeptEntries:
+class KeptEntries(ShortRepr):
     """Entries within the limits: poses with the permitted direction of the least cost, shape (n, 6), and the counts."""
 
     poses: NDArray[np.float64]
     counts: tuple[LimitCount, ...]
-
-    __repr__ = short_repr
-    _repr_html_ = short_html
 
 
 def kept_entries(

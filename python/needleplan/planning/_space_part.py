@@ -115,7 +115,7 @@ class PartialSpace:
         seed: int,
         threads: int | None = None,
     ) -> NDArray[np.uint8]:
-        """Return the outcomes of executions from poses, shape (n, 6), with rigid motions and ratios, shape (n, 13)."""
+        """Return the outcomes of executions from poses, shape (n, 6), with the rows of their truths, shape (n, 14)."""
         moved, rows = truths.copy(), truths[:, :12].reshape(-1, 3, 4)
         moved[:, 3:12:4] += rows[:, :, :3] @ self.corner_mm - self.corner_mm
         center = (np.asarray(center_mm) - self.corner_mm).tolist()

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from needleplan.anatomy import OBSTACLE, OUTSIDE, TARGET, crossed_voxels
-from needleplan.artifacts import short_html, short_repr
+from needleplan.artifacts import ShortRepr
 from needleplan.planning._coded import Outcome
 from needleplan.planning._drawing import draw_path
 from needleplan.planning._space_pose import SpacePose
@@ -123,7 +123,7 @@ class SpacePath:
 
 
 @dataclass(frozen=True, eq=False)
-class SpacePaths:
+class SpacePaths(ShortRepr):
     """Executions from n poses. All arrays but `poses`, `bounds` and `turn_rows` have the shape (n,).
 
     - `reached`: whether the path ends in the target.
@@ -149,9 +149,6 @@ class SpacePaths:
     poses: NDArray[np.float64]
     turn_rows: NDArray[np.int64]
     bounds: NDArray[np.int64]
-
-    __repr__ = short_repr
-    _repr_html_ = short_html
 
     def points(self, number: int) -> NDArray[np.float64]:
         """Return the positions of one path in the frame (mm), shape (m, 3)."""

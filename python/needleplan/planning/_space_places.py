@@ -79,7 +79,7 @@ class TablePlaces:
                     stream.write(np.ascontiguousarray(slice_).data)
 
     def arrays(self, path: Path | None = None) -> dict[str, NDArray[Any]]:
-        """Return the tables, mapped from the file, or from the one that it has become."""
+        """Return the tables, mapped from the file, also after the file was renamed."""
         return {name: mapped(path or self.path, kind, place, self.shape)
                 for name, (place, kind) in zip(TYPES, self._parts(), strict=True)}  # fmt: skip
 

@@ -85,9 +85,8 @@ def reached_in_space(
         Their scenario.
     starts : numpy.ndarray
         Positions (mm) and unit tangents, shape (n, 6).
-    truths : tuple of numpy.ndarray
-        Rigid motions from believed to true positions (mm), shape (n, 3, 4), and true curvatures relative to the planned
-        one, shape (n,).
+    truths : Truths
+        Rigid motions from believed to true positions, true curvatures, and distance of the coil.
     seed : int
         Seed of the tip noise.
 
@@ -100,7 +99,7 @@ def reached_in_space(
     if not known.any():
         return known
     places = np.where(known[:, None], starts, starts[known.argmax()])
-    motions, ratios = truths
-    rows = np.concatenate([motions.reshape(-1, 12), ratios[:, None]], -1)
+    motions, ratios, coil_mm = truths
+    rows = np.column_stack([motions.reshape(-1, 12), ratios, np.full(len(ratios), coil_mm)])
     outcomes = solved.true_outcomes(places, rows, center_mm=scenario.target_mm, seed=seed)
     return np.asarray(known & (outcomes == Outcome.TARGET.code))

@@ -27,7 +27,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from needleplan.anatomy import SpaceScenario
-from needleplan.artifacts import short_html, short_repr
+from needleplan.artifacts import ShortRepr
 from needleplan.errors import InputError, Mistake, ScenarioError
 from needleplan.planning._space import EntryMap, SpaceEntry, entry_map
 from needleplan.planning._space_limits import LENGTHS, LimitCount
@@ -50,7 +50,7 @@ EXPECTED, ALL = "expected", "all"
 
 
 @dataclass(frozen=True)
-class TargetEntry:
+class TargetEntry(ShortRepr):
     """An entry point for several targets, with one insertion for each.
 
     Parameters
@@ -81,9 +81,6 @@ class TargetEntry:
     score: float
     expected_before_failure: float
 
-    __repr__ = short_repr
-    _repr_html_ = short_html
-
     def record(self) -> dict[str, Any]:
         """Return the JSON record of the entry."""
         return {
@@ -101,7 +98,7 @@ class TargetEntry:
 
 
 @dataclass(frozen=True, eq=False)
-class TargetMap:
+class TargetMap(ShortRepr):
     """The entry points of an anatomy with several targets.
 
     Parameters
@@ -114,9 +111,6 @@ class TargetMap:
 
     maps: Mapping[str, EntryMap]
     limits: tuple[LimitCount, ...] = ()
-
-    __repr__ = short_repr
-    _repr_html_ = short_html
 
     @property
     def names(self) -> tuple[str, ...]:

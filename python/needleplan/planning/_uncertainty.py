@@ -1,4 +1,4 @@
-"""Errors of an insertion: of its entry, its registration and its curvature."""
+"""Errors of an insertion: of its entry, its registration, its curvature and the estimate of its tip."""
 
 from __future__ import annotations
 
@@ -43,9 +43,9 @@ def _low_first(curvature_ratio: tuple[float, float]) -> Iterator[Mistake]:
 
 @dataclass(frozen=True)
 class Uncertainty(ConfigTable, error=InputError, between=(_one_registration, _low_first)):
-    """Errors of entry, registration and curvature in an insertion; by default, there is none.
+    """Errors of entry, registration, curvature and tip estimate in an insertion; by default, there is none.
 
-    An execution draws each error once and keeps it to its end (docs/explanation/promise.md).
+    An execution draws the first three once and keeps them to its end (docs/explanation/promise.md).
 
     The constructor raises InputError, with every value that is outside of its range.
 
@@ -76,6 +76,11 @@ class Uncertainty(ConfigTable, error=InputError, between=(_one_registration, _lo
     )
     """95 % interval of the true curvature, relative to the planned one; its logarithm is normally distributed."""
 
+    coil_mm: float = ruled(
+        Number("mm", at_least=0, at_most=200), 0.0, about="distance of the coil, whose pose is measured, behind the tip"
+    )
+    """Distance of the coil, whose pose is measured, behind the tip: the tip noise of this length is not known yet."""
+
     registration: RigidError | None = ruled(Maybe(_IsRigidError()), None)
     """Error of a registration, instead of `tre_mm`, in the frame to which it leads: of the plan, in 3D RAS."""
 
@@ -85,12 +90,12 @@ class Uncertainty(ConfigTable, error=InputError, between=(_one_registration, _lo
         return not any(self.parts().values())
 
     def parts(self) -> dict[str, Uncertainty | None]:
-        """Return the entry, the registration and the curvature, each alone; None if it is known exactly.
+        """Return the entry, the registration, the curvature and the tip, each alone; None if it is known exactly.
 
         Returns
         -------
         dict
-            By the names `entry`, `registration` and `curvature`.
+            By the names `entry`, `registration`, `curvature` and `tip`.
 
         Examples
         --------
@@ -103,6 +108,7 @@ class Uncertainty(ConfigTable, error=InputError, between=(_one_registration, _lo
             "entry": replace(exact, entry_sd_mm=self.entry_sd_mm, heading_sd_deg=self.heading_sd_deg),
             "registration": replace(exact, tre_mm=self.tre_mm, registration=self.registration),
             "curvature": replace(exact, curvature_ratio=self.curvature_ratio),
+            "tip": replace(exact, coil_mm=self.coil_mm),
         }
         return {name: part if part != exact else None for name, part in alone.items()}
 
@@ -121,6 +127,7 @@ class Uncertainty(ConfigTable, error=InputError, between=(_one_registration, _lo
             "heading_sd_deg": self.heading_sd_deg,
             "tre_mm": self.tre_mm,
             "curvature_ratio": self.curvature_ratio,
+            "coil_mm": self.coil_mm,
             "registration": error and {"centre_mm": error.centre_mm.tolist(), "covariance": error.covariance.tolist()},
         }
 

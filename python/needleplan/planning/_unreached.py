@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from needleplan.anatomy import FREE, OBSTACLE, OUTSIDE
-from needleplan.artifacts import short_html, short_repr
+from needleplan.artifacts import ShortRepr
 
 if TYPE_CHECKING:
     from needleplan.planning._space import EntryMap
@@ -27,7 +27,7 @@ _TRYING = 0.02
 
 
 @dataclass(frozen=True)
-class Unreached:
+class Unreached(ShortRepr):
     """No entry that was tried reaches the target in 1 % of executions.
 
     Parameters
@@ -47,9 +47,6 @@ class Unreached:
     tried: int
     ended: dict[str, float]
     reason: str
-
-    __repr__ = short_repr
-    _repr_html_ = short_html
 
     def __str__(self) -> str:
         entries = "the entry" if self.tried == 1 else f"the {self.tried} best entries by the table"

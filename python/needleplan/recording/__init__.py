@@ -13,7 +13,6 @@ from needleplan.recording._column_map import ColumnMap
 from needleplan.recording._data_files import PathLike, parse_records, read_records, write_records
 from needleplan.recording._journal import Session
 from needleplan.recording._message_kinds import Field, Json, MessageKind, Packed
-from needleplan.recording._published_files import read_depth_force, read_stepwise_insertion
 from needleplan.recording._recorder import Recorder, RecordingChannel
 from needleplan.recording._recorder_status import RecorderState, RecorderStatus, WhenFull
 from needleplan.recording._recording import RecordedMessage, Recording
@@ -45,9 +44,7 @@ __all__ = [
     "WhenFull",
     "align",
     "parse_records",
-    "read_depth_force",
     "read_records",
-    "read_stepwise_insertion",
     "recover",
     "resampled",
     "write_records",

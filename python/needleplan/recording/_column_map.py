@@ -16,7 +16,7 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
-from needleplan.artifacts import call_repr, short_html
+from needleplan.artifacts import CallRepr
 from needleplan.config import closest
 from needleplan.errors import InputError, Mistake
 from needleplan.recording.columns import TEXTS, column_of, unit_factor, unit_of, units_of
@@ -133,7 +133,7 @@ def unit_in(cell: str) -> str:
 
 
 @dataclass(frozen=True)
-class ColumnMap:
+class ColumnMap(CallRepr):
     """Columns and units of foreign text files.
 
     Parameters
@@ -160,9 +160,6 @@ class ColumnMap:
     texts: dict[str, str] = field(default_factory=dict)
     speed_mm_s: float | None = None
     surface_mm: float | None = None
-
-    __repr__ = call_repr
-    _repr_html_ = short_html
 
     @classmethod
     def parse(

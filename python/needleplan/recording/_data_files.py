@@ -9,7 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from needleplan.artifacts import digest, path_text, write_whole
-from needleplan.errors import DataError, Mistake, OutputError
+from needleplan.errors import DataError, Mistake, OutputError, reading
 from needleplan.recording._align import resampled
 from needleplan.recording._column_map import ColumnMap
 from needleplan.recording._foreign_file import parse_foreign, with_velocity
@@ -274,11 +274,8 @@ def _require_different(found: Sequence[tuple[str, Sequence[Record]]]) -> None:
 def _read(
     file: PathLike, accept_units: bool, columns: ColumnMap | None, role: Role | None, rate_hz: float | None
 ) -> list[Record]:
-    try:
+    with reading(file, DataError):
         content = Path(file).read_bytes()
-    except (OSError, ValueError) as error:
-        reason = getattr(error, "strerror", None) or error
-        raise DataError(f"cannot be read: {reason}", os.fspath(file)) from error
     return parse_records(
         content, os.fspath(file), accept_units=accept_units, columns=columns, role=role, rate_hz=rate_hz
     )

@@ -28,7 +28,7 @@ from mcap.data_stream import ReadDataStream, RecordBuilder
 from mcap.opcode import Opcode
 from mcap.writer import MCAP0_MAGIC
 
-from needleplan.artifacts import call_repr, short_html, version
+from needleplan.artifacts import CallRepr, version
 from needleplan.errors import DataError, Mistake
 from needleplan.recording._message_kinds import Json, MessageKind
 
@@ -38,7 +38,7 @@ FORMAT = "needleplan.recording/1"
 
 
 @dataclass(frozen=True)
-class Session:
+class Session(CallRepr):
     """The description of a run.
 
     The times of messages are measured on the monotonic clock, which nobody can set, and are stored as times of day;
@@ -75,9 +75,6 @@ class Session:
     monotonic_ns: int = field(default_factory=time.monotonic_ns)
     wall_ns: int = field(default_factory=time.time_ns)
     made_by: str = field(default_factory=lambda: f"needleplan {version()}")
-
-    __repr__ = call_repr
-    _repr_html_ = short_html
 
     def __post_init__(self) -> None:
         for name in ("digests", "texts"):

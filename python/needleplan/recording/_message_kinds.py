@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from needleplan.artifacts import call_repr, json_values
+from needleplan.artifacts import CallRepr, json_values
 from needleplan.errors import DataError, Mistake
 
 __all__ = ["Field", "Json", "MessageKind", "Packed"]
@@ -90,7 +90,7 @@ class MessageKind(ABC):
 
 
 @dataclass(frozen=True)
-class Field:
+class Field(CallRepr):
     """A field of a packed message.
 
     Attributes
@@ -117,11 +117,9 @@ class Field:
     choices: tuple[str, ...] = ()
     comment: str = ""
 
-    __repr__ = call_repr
-
 
 @dataclass(frozen=True)
-class Packed(MessageKind):
+class Packed(CallRepr, MessageKind):
     """A message of numbers and strings, encoded as a ROS 2 message.
 
     Attributes
@@ -153,8 +151,6 @@ class Packed(MessageKind):
     encoding = "cdr"
     schema_encoding = "ros2msg"
     _numbers: struct.Struct = field(init=False, repr=False, compare=False)
-
-    __repr__ = call_repr
 
     def __post_init__(self) -> None:
         unknown = [Mistake(each.name, each.type, "is not a type of a message field") for each in self.fields
@@ -309,7 +305,7 @@ class Packed(MessageKind):
 
 
 @dataclass(frozen=True)
-class Json(MessageKind):
+class Json(CallRepr, MessageKind):
     """A JSON object; NaN and infinite numbers are stored as null.
 
     Attributes
@@ -330,7 +326,6 @@ class Json(MessageKind):
     name: str
     properties: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
 
-    __repr__ = call_repr
     encoding = "json"
     schema_encoding = "jsonschema"
 

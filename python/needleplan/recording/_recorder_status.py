@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 
-from needleplan.artifacts import call_repr, short_html
+from needleplan.artifacts import CallRepr
 
 __all__ = ["RecorderState", "RecorderStatus", "WhenFull"]
 
@@ -53,7 +53,7 @@ class WhenFull(StrEnum):
 
 
 @dataclass(frozen=True)
-class RecorderStatus:
+class RecorderStatus(CallRepr):
     """Status of a recorder.
 
     Attributes
@@ -92,9 +92,6 @@ class RecorderStatus:
     overflowed: Mapping[str, int] = field(default_factory=dict)
     refused: int = 0
     refusal: str = ""
-
-    __repr__ = call_repr
-    _repr_html_ = short_html
 
     @property
     def missing(self) -> str:

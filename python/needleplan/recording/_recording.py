@@ -12,7 +12,7 @@ from mcap.reader import SeekingReader
 from mcap.records import Channel as McapChannel
 from mcap.records import Schema
 
-from needleplan.artifacts import call_repr, path_text, short_html
+from needleplan.artifacts import CallRepr, path_text, short_html
 from needleplan.errors import DataError, InputError, Mistake
 from needleplan.recording._align import align, trial_of_channels
 from needleplan.recording._data_files import PathLike
@@ -33,7 +33,7 @@ _BLOCK_MESSAGES = 65_536
 
 
 @dataclass(frozen=True)
-class RecordedMessage:
+class RecordedMessage(CallRepr):
     """One message of a recording.
 
     Attributes
@@ -58,9 +58,6 @@ class RecordedMessage:
     time_ns: int
     sequence: int
     values: dict[str, Any]
-
-    __repr__ = call_repr
-    _repr_html_ = short_html
 
 
 @dataclass(frozen=True, repr=False)

@@ -18,7 +18,13 @@ from typing import Any, BinaryIO
 
 from mcap.writer import CompressionType, Writer
 
-from needleplan.artifacts import move_into_place, path_text, require_writable, short_html, short_repr, version
+from needleplan.artifacts import (
+    ShortRepr,
+    move_into_place,
+    path_text,
+    require_writable,
+    version,
+)
 from needleplan.errors import DataError, Mistake, OutputError
 from needleplan.recording._data_files import PathLike
 from needleplan.recording._journal import COUNTS, PROFILE, Session
@@ -44,7 +50,7 @@ _THERE = "is there already: a recording is never overwritten"
 
 
 @dataclass(frozen=True)
-class Recovery:
+class Recovery(ShortRepr):
     """Result of a recovery.
 
     Attributes
@@ -87,9 +93,6 @@ class Recovery:
     closed: bool = False
     counted_s: float | None = None
     missing_s: float = 0.0
-
-    __repr__ = short_repr
-    _repr_html_ = short_html
 
 
 def recover(path: PathLike, target: PathLike, *, overwrite: bool = False) -> Recovery:

@@ -72,7 +72,7 @@ def units_of(column: str) -> tuple[str, ...]:
 
 
 def unit_factor(column: str, unit: str) -> float | None:
-    """Return the factor that converts a unit, in any case of letters, to that of a column; None for another unit."""
+    """Return the factor from a unit, in any case of letters, to the unit of a column; None for another unit."""
     given = unit.strip().replace("µ", "u").replace("μ", "u").replace("·", " ").replace("°", "deg").lower()
     return next((factor for each, factor in _UNIT_FACTORS[column].items() if each.lower() == given), None)
 

@@ -19,8 +19,8 @@ from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.writer import MCAP0_MAGIC
 
-from needleplan.artifacts import call_repr
-from needleplan.errors import DataError, InputError, Mistake
+from needleplan.artifacts import CallRepr
+from needleplan.errors import DataError, Mistake, reading
 from needleplan.recording._data_files import PathLike
 from needleplan.recording._journal import PROFILE, SESSION, Counts
 
@@ -63,7 +63,7 @@ class Damage:
 
 
 @dataclass
-class Definitions:
+class Definitions(CallRepr):
     """Schemas and channels by number; the session as stored and the counts, each None until it is found."""
 
     schemas: dict[int, records.Schema] = field(default_factory=dict)
@@ -71,24 +71,16 @@ class Definitions:
     session: dict[str, Any] | None = None
     counts: Counts | None = None
 
-    __repr__ = call_repr
-
 
 @contextlib.contextmanager
 def mapped(path: PathLike) -> Iterator[Any]:
     """Yield the bytes of a file as a memory map. Raises DataError if it cannot be read."""
-    try:
-        with Path(path).open("rb") as stream:
-            if os.fstat(stream.fileno()).st_size == 0:
-                yield b""
-                return
-            with mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as data:
-                yield data
-    except InputError:
-        raise
-    except (OSError, ValueError) as error:
-        reason = getattr(error, "strerror", None) or error
-        raise DataError(f"cannot be read: {reason}", os.fspath(path)) from error
+    with reading(path, DataError), Path(path).open("rb") as stream:
+        if os.fstat(stream.fileno()).st_size == 0:
+            yield b""
+            return
+        with mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as data:
+            yield data
 
 
 def require_intact(stream: BinaryIO, source: str) -> None:

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from needleplan.artifacts import short_html, short_repr
+from needleplan.artifacts import ShortRepr
 from needleplan.errors import DataError, Mistake
 from needleplan.recording._column_map import ColumnMap, ColumnTerm, Vocabulary
 from needleplan.recording._foreign_file import cell_rows, number_rows
@@ -52,7 +52,7 @@ _ROS_PARTS = {"position": "{}_mm", "translation": "{}_mm", "orientation": "q{}",
 
 
 @dataclass(frozen=True)
-class TrackedRows:
+class TrackedRows(ShortRepr):
     """Rows of a file: `numbers` by column, shape (rows,), `names`, lines in the file, and how the file was read.
 
     Rows without any number are not among them; `missing` is their number.
@@ -63,9 +63,6 @@ class TrackedRows:
     lines: tuple[int, ...]
     missing: int
     notes: tuple[str, ...]
-
-    __repr__ = short_repr
-    _repr_html_ = short_html
 
 
 def read_tracked(

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from needleplan.artifacts import short_html, short_repr
+from needleplan.artifacts import ShortRepr
 from needleplan.errors import DataError, Mistake
 from needleplan.signals import Array, Record, RecordFrame, Role, fault_notes
 
@@ -15,7 +15,7 @@ __all__ = ["DataTable", "disordered", "records_of"]
 
 
 @dataclass(frozen=True)
-class DataTable:
+class DataTable(ShortRepr):
     """Rows of a data file: columns of numbers and columns of texts, all of the same length; missing numbers are NaN.
 
     `places[i]` names the position of row i in the file, for messages, such as "line 7". `frame` is the frame of depths
@@ -27,9 +27,6 @@ class DataTable:
     places: tuple[str, ...]
     notes: tuple[str, ...] = field(default=())
     frame: RecordFrame = RecordFrame()
-
-    __repr__ = short_repr
-    _repr_html_ = short_html
 
     def __len__(self) -> int:
         return len(self.places)

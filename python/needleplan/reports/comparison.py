@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from dataclasses import KW_ONLY, dataclass
 from enum import StrEnum
 
-from needleplan.artifacts import call_repr
+from needleplan.artifacts import CallRepr
 
 __all__ = ["SAME_ORDER_FACTOR", "Agreement", "Comparison", "Evidence", "Origin", "by_evidence", "measured", "timed"]
 
@@ -85,7 +85,7 @@ class Evidence(StrEnum):
 
 
 @dataclass(frozen=True)
-class Comparison:
+class Comparison(CallRepr):
     """A number or statement (`published`) beside the computed number or statement (`ours`).
 
     Either is None if it does not exist. `origin` says where `published` comes from: the thesis, or, if `earlier`, an
@@ -108,8 +108,6 @@ class Comparison:
     kind: Evidence
     source: str = ""
     earlier: bool = False
-
-    __repr__ = call_repr
 
     def __post_init__(self) -> None:
         """Reject a comparison whose fields contradict each other."""

@@ -33,14 +33,14 @@ class PlaneFrame:
 
     @property
     def frame_axes(self) -> NDArray[np.float64]:
-        """Unit vectors of the plan's axes in the world, shape (3, 3): those of the world."""
+        """Unit vectors of the plan's axes in the world, shape (3, 3): the identity in the plane."""
         import numpy as np
 
         return np.eye(3)
 
     @property
     def frame_origin_mm(self) -> NDArray[np.float64]:
-        """Origin of the plan's frame in the world (mm): that of the world."""
+        """Origin of the plan's frame in the world (mm): zero in the plane."""
         import numpy as np
 
         return np.zeros(3)

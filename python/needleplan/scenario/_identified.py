@@ -8,7 +8,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Protocol
 
-from needleplan.artifacts import call_repr
+from needleplan.artifacts import CallRepr
 from needleplan.config import suggestion
 from needleplan.errors import Mistake, ModelError, ScenarioError
 from needleplan.scenario._parts import Layer, Needle, Tissue
@@ -87,7 +87,7 @@ class EntryPose:
 
 
 @dataclass(frozen=True)
-class Identified:
+class Identified(CallRepr):
     """An identified curvature (1/mm, positive) with the 95 % interval from `low_per_mm` to `high_per_mm`.
 
     Both limits are NaN if the model file has no interval. `kind` is the kind of the model, `trials` the number of files
@@ -109,8 +109,6 @@ class Identified:
 
     entry: EntryPose | None = None
     """Pose of the tip at the entry relative to the guide; None if the file says that there is no deviation."""
-
-    __repr__ = call_repr
 
     @property
     def radius_mm(self) -> float:

@@ -8,7 +8,7 @@ from typing import Any
 from needleplan.config import ConfigTable, Maybe, Number, Text, ruled
 from needleplan.errors import Mistake, ScenarioError
 from needleplan.scenario import _shape
-from needleplan.scenario._polygon import Points
+from needleplan.scenario._shape import Points
 
 __all__ = ["Obstacle"]
 

@@ -25,8 +25,7 @@ from needleplan.config import (
 )
 from needleplan.errors import Mistake, ScenarioError
 from needleplan.scenario import _shape
-from needleplan.scenario._polygon import TOLERANCE_MM, Points
-from needleplan.scenario._shape import COORDINATE, LENGTH
+from needleplan.scenario._shape import COORDINATE, LENGTH, TOLERANCE_MM, Points
 
 __all__ = [
     "Grid",

@@ -38,7 +38,7 @@ from needleplan.scenario._parts import (
     Tissue,
     Workspace,
 )
-from needleplan.scenario._polygon import TOLERANCE_MM
+from needleplan.scenario._shape import TOLERANCE_MM
 from needleplan.scenario._shipped import FOLDER, ShippedScenario
 
 if TYPE_CHECKING:

@@ -10,7 +10,7 @@ from xml.etree import ElementTree
 
 from needleplan.errors import Mistake, ScenarioError
 from needleplan.scenario._obstacle import Obstacle
-from needleplan.scenario._polygon import Points
+from needleplan.scenario._shape import Points
 
 if TYPE_CHECKING:
     from shapely.geometry.base import BaseGeometry

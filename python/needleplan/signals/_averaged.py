@@ -15,7 +15,6 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from needleplan.artifacts import short_html, short_repr
 from needleplan.signals._record import Array, Motion, Record
 
 __all__ = ["AveragedMotion", "AveragedRecord", "SpannedMotion", "averaged_motion", "averaged_record", "parts_of"]
@@ -156,9 +155,6 @@ class AveragedRecord(Record):
     """A recording whose samples are means; its motion keeps several instants where the speed changes."""
 
     averaged: AveragedMotion | None = None
-
-    __repr__ = short_repr
-    _repr_html_ = short_html
 
     def motion(self) -> Motion:
         """Return the motion of the means."""

@@ -13,7 +13,7 @@ from enum import StrEnum
 
 import numpy as np
 
-from needleplan.artifacts import call_repr, short_html, short_repr
+from needleplan.artifacts import CallRepr, ShortRepr
 from needleplan.errors import DataError, Mistake, ModelError
 from needleplan.signals._record import Array, ComplexArray
 from needleplan.signals._sine import dominant_frequency_hz, sine_at
@@ -31,7 +31,7 @@ __all__ = [
 
 
 @dataclass(frozen=True)
-class DiscreteFilter:
+class DiscreteFilter(CallRepr):
     """The transfer function B(z)/A(z) for samples at intervals of `interval_s`.
 
     `numerator` and `denominator` are the coefficients of descending powers of z. The constructor raises ModelError
@@ -41,8 +41,6 @@ class DiscreteFilter:
     numerator: tuple[float, ...]
     denominator: tuple[float, ...]
     interval_s: float
-
-    __repr__ = call_repr
 
     def __post_init__(self) -> None:
         mistakes = []
@@ -244,7 +242,7 @@ class VelocityMethod(StrEnum):
 
 
 @dataclass(frozen=True)
-class VelocityRecord:
+class VelocityRecord(ShortRepr):
     """Velocity at every sample, shape (samples,), with the method that computed it.
 
     `noise_mm` is the estimated standard deviation of the position noise.
@@ -253,9 +251,6 @@ class VelocityRecord:
     velocity_mm_s: Array
     noise_mm: float
     method: VelocityMethod
-
-    __repr__ = short_repr
-    _repr_html_ = short_html
 
 
 def velocity_without_delay(time_s: Array, position_mm: Array, window_s: float = 0.1) -> VelocityRecord:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from needleplan.artifacts import call_repr
+from needleplan.artifacts import CallRepr
 from needleplan.errors import DataError, Mistake
 from needleplan.signals._profiles import lspb
 from needleplan.signals._record import Array, Motion
@@ -19,7 +19,7 @@ LEAST_ROOM_MM = 5.0
 
 
 @dataclass(frozen=True)
-class Limits:
+class Limits(CallRepr):
     """Limits of the machine and the tissue.
 
     Raises DataError if a speed or an acceleration is not positive, or if the depths leave no room to move.
@@ -33,8 +33,6 @@ class Limits:
     acceleration_mm_s2: float = 100.0
     velocity_rad_s: float = 6.0
     acceleration_rad_s2: float = 60.0
-
-    __repr__ = call_repr
 
     def __post_init__(self) -> None:
         mistakes = [
@@ -74,15 +72,13 @@ class Dwell:
 
 
 @dataclass(frozen=True)
-class Program:
+class Program(CallRepr):
     """A sequence of moves that starts at the shallowest position; each move starts and ends at rest."""
 
     name: str
     about: str
     moves: tuple[Insert | Rotate | Dwell, ...]
     limits: Limits
-
-    __repr__ = call_repr
 
     def motion(self, rate_hz: float) -> Motion:
         """Return the motion with trapezoidal velocities, sampled at `rate_hz`."""

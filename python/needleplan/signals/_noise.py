@@ -15,7 +15,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.lib.stride_tricks import as_strided
 
-from needleplan.artifacts import call_repr
+from needleplan.artifacts import CallRepr
 from needleplan.signals._record import Array
 
 __all__ = ["MultiAxisNoise", "SensorNoise", "combine_axes", "fit_axes", "fit_noise", "scatter"]
@@ -34,14 +34,12 @@ def scatter(values: Array) -> float:
 
 
 @dataclass(frozen=True)
-class SensorNoise:
+class SensorNoise(CallRepr):
     """Noise of one axis: weights of past samples, standard deviation of the innovations, and RMS (channel's unit)."""
 
     weights: Array
     sd: float
     rms: float
-
-    __repr__ = call_repr
 
     @property
     def order(self) -> int:

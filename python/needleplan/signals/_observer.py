@@ -24,7 +24,7 @@ from enum import StrEnum
 
 import numpy as np
 
-from needleplan.artifacts import call_repr
+from needleplan.artifacts import CallRepr
 from needleplan.errors import DataError, Mistake, ModelError
 from needleplan.signals._filters import DiscreteFilter
 from needleplan.signals._record import Array
@@ -148,7 +148,7 @@ class ObserverStream:
 
 
 @dataclass(frozen=True)
-class Projection:
+class Projection(CallRepr):
     """H(z) = Psi_slow/Psi_fast, (4.3): from the velocity of the needle to the velocity relative to the tissue.
 
     The factors z (z - 1) cancel, so that H and its inverse are causal and stable. The inverse amplifies frequencies
@@ -158,8 +158,6 @@ class Projection:
 
     fast: HighGainObserver
     slow: HighGainObserver
-
-    __repr__ = call_repr
 
     def __post_init__(self) -> None:
         if self.fast.interval_s != self.slow.interval_s:

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields, replace
 from enum import StrEnum
 
 import numpy as np
 from numpy.typing import NDArray
 
-from needleplan.artifacts import short_html, short_repr
+from needleplan.artifacts import ShortRepr
 from needleplan.errors import DataError, Mistake
 from needleplan.signals._frame import RecordFrame
 
@@ -34,7 +34,7 @@ ComplexArray = NDArray[np.complex128]
 
 
 @dataclass(frozen=True)
-class Motion:
+class Motion(ShortRepr):
     """A sampled motion of the needle; all fields have the shape (samples,), or are scalars for one instant.
 
     Parameters
@@ -64,9 +64,6 @@ class Motion:
     velocity_mm_s: Array
     direction: Array
     angle_rad: Array
-
-    __repr__ = short_repr
-    _repr_html_ = short_html
 
     @classmethod
     def sampled(
@@ -226,7 +223,7 @@ class Role(StrEnum):
 
 
 @dataclass(frozen=True)
-class Record:
+class Record(ShortRepr):
     """One trial: named columns of one length in the units of `UNITS`.
 
     The constructor raises DataError if `time_s` is missing, a name is not in `UNITS`, or the shapes differ.
@@ -268,13 +265,18 @@ class Record:
     frame: RecordFrame = RecordFrame()
     begun_s: float | None = None
 
-    __repr__ = short_repr
-    _repr_html_ = short_html
-
     def __post_init__(self) -> None:
+        if not isinstance(self.columns, Mapping):
+            rule = "must be a mapping from the names of columns to numbers"
+            raise DataError(Mistake("columns", f"<{type(self.columns).__name__}>", rule), self.trial)
         if "time_s" not in self.columns:
             raise DataError(Mistake("time_s", "", "is missing"))
-        columns = {name: np.asarray(values, float) for name, values in self.columns.items()}
+        columns = {}
+        for name, values in self.columns.items():
+            try:
+                columns[name] = np.asarray(values, float)
+            except (TypeError, ValueError) as error:
+                raise DataError(Mistake(name, "", f"must hold numbers: {error}"), self.trial) from None
         unknown = [Mistake(name, "", f"must be one of {', '.join(UNITS)}") for name in columns if name not in UNITS]
         shape = columns["time_s"].shape
         unknown += [

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from needleplan.artifacts import call_repr
+from needleplan.artifacts import CallRepr
 from needleplan.errors import DataError, Mistake
 from needleplan.signals._record import Array
 
@@ -17,7 +17,7 @@ _ROUNDING = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
-class RigidError:
+class RigidError(CallRepr):
     """The error of a rigid motion: a small rotation about a centre, then a shift, jointly normal with the mean zero.
 
     Parameters
@@ -43,8 +43,6 @@ class RigidError:
 
     centre_mm: Array
     covariance: Array
-
-    __repr__ = call_repr
 
     def __post_init__(self) -> None:
         centre, covariance = np.array(self.centre_mm, float), np.array(self.covariance, float)

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
-from needleplan.artifacts import short_html, short_repr
+from needleplan.artifacts import ShortRepr
 from needleplan.signals._record import Array, Record
 
 __all__ = ["MeasuredMotion", "rest_before_entry"]
@@ -37,7 +37,7 @@ _MOST_SCALED = 2.0
 
 
 @dataclass(frozen=True)
-class MeasuredMotion:
+class MeasuredMotion(ShortRepr):
     """A motion whose depth was measured, divided into standing and moving parts. All arrays have the shape (samples,).
 
     Attributes
@@ -59,9 +59,6 @@ class MeasuredMotion:
     standing: NDArray[np.bool_]
     noise_mm: float
     window_s: float
-
-    __repr__ = short_repr
-    _repr_html_ = short_html
 
     @classmethod
     def of(cls, time_s: Array, depth_mm: Array) -> MeasuredMotion:

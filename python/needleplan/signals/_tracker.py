@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from needleplan.artifacts import short_html, short_repr
+from needleplan.artifacts import ShortRepr
 from needleplan.errors import DataError, Mistake, ModelError
 from needleplan.signals._record import Array
 
@@ -37,7 +37,7 @@ class TrackerModel(StrEnum):
 
 
 @dataclass(frozen=True)
-class TrackerEstimate:
+class TrackerEstimate(ShortRepr):
     """Estimates at every sample, shape (samples,) each; NaN before the first measured position.
 
     `missed` is the number of samples without a measurement.
@@ -47,9 +47,6 @@ class TrackerEstimate:
     velocity_mm_s: Array
     velocity_sd_mm_s: Array
     missed: int
-
-    __repr__ = short_repr
-    _repr_html_ = short_html
 
 
 @dataclass(frozen=True)

@@ -28,6 +28,7 @@ from needleplan.simulation._station import (
     SimulatedStation,
     are_simulated,
     open_insertion_station,
+    simulated_coil_mm,
     simulated_station,
     tip_noise_remark,
 )
@@ -58,6 +59,7 @@ __all__ = [
     "record_run",
     "run_simulation",
     "shipped_simulations",
+    "simulated_coil_mm",
     "simulated_station",
     "tip_noise_remark",
 ]

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from needleplan.artifacts import short_html, short_repr
+from needleplan.artifacts import ShortRepr
 from needleplan.devices import FibreSample, ForceSample, ImageSample, PoseSample, StageSample
 from needleplan.errors import OutputError
 from needleplan.models import TipFrame
@@ -39,7 +39,7 @@ class RunPhase:
 
 
 @dataclass(frozen=True)
-class Run:
+class Run(ShortRepr):
     """Result of a simulation: all samples of the devices, phases of the program, and true final tip frame."""
 
     simulation: Simulation
@@ -51,9 +51,6 @@ class Run:
     tip: TipFrame
     fibre: tuple[FibreSample, ...] = ()
     images: tuple[ImageSample, ...] = ()
-
-    __repr__ = short_repr
-    _repr_html_ = short_html
 
     def record(self, trial: str = "") -> Record:
         """Return the run as a record at the rate of the force sensor.

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 from needleplan.anatomy import SpaceScenario
-from needleplan.artifacts import short_html, short_repr
+from needleplan.artifacts import ShortRepr
 from needleplan.config import ConfigTable, Integer, Maybe, Number, Violation, ruled
 from needleplan.errors import InputError, Mistake, SimulationError
 from needleplan.models import Channel, Model, ModelFile, TipFrame
@@ -231,7 +231,7 @@ BETWEEN = (
 
 
 @dataclass(frozen=True)
-class Setup:
+class Setup(ShortRepr):
     """Needle, tissue, robot and effects of a lab twin.
 
     A layer without a curvature has the curvature of the tissue. If the tissue has none either, the needle has the
@@ -262,9 +262,6 @@ class Setup:
     planned_noise: PlannedNoise = PlannedNoise()
     fibre: FibreSensors | None = None
     ultrasound: ImagePlane | None = None
-
-    __repr__ = short_repr
-    _repr_html_ = short_html
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "layers", tuple(self.layers))

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import MISSING, dataclass, fields
 from pathlib import Path
 
-from needleplan.artifacts import digest, short_html, short_repr
+from needleplan.artifacts import ShortRepr, digest
 from needleplan.config import (
     Choice,
     ConfigTable,
@@ -204,7 +204,7 @@ class _SimulationTable(
 
 
 @dataclass(frozen=True)
-class Simulation:
+class Simulation(ShortRepr):
     """Setup, program of moves and seed of a run of the lab twin.
 
     `scenario` is the scenario that was planned, or None; `digest` is the digest of the simulation file. Raises
@@ -217,9 +217,6 @@ class Simulation:
     title: str = ""
     scenario: Scenario | None = None
     digest: str = ""
-
-    __repr__ = short_repr
-    _repr_html_ = short_html
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "moves", tuple(self.moves))

@@ -18,7 +18,14 @@ if TYPE_CHECKING:
     from needleplan.devices.robot import MotionLimits
     from needleplan.estimation.registration import Registration
 
-__all__ = ["SimulatedStation", "are_simulated", "open_insertion_station", "simulated_station", "tip_noise_remark"]
+__all__ = [
+    "SimulatedStation",
+    "are_simulated",
+    "open_insertion_station",
+    "simulated_coil_mm",
+    "simulated_station",
+    "tip_noise_remark",
+]
 
 _SIM = "sim"
 _DEFAULT_SIMULATION = "steering"
@@ -154,9 +161,33 @@ def open_insertion_station(
     seed = address.option("seed", int, -1)
     if seed < -1 or (seed == -1 and "seed" in address.options):
         raise AddressError(Mistake("seed", str(seed), "must be a whole number from 0"), str(address))
+    return simulated_station(_simulation_at(robot), table, start, None if seed == -1 else seed)
+
+
+def simulated_coil_mm(address: str) -> float:
+    """Return the distance of the coil behind the tip in a simulated lab.
+
+    Parameters
+    ----------
+    address : str
+        Address `sim://[SIMULATION][?seed=N]`.
+
+    Returns
+    -------
+    float
+        Distance (mm).
+
+    Raises
+    ------
+    SimulationError
+        The simulation is invalid.
+    """
+    return _simulation_at(address).setup.effects.coil_offset_mm
+
+
+def _simulation_at(address: str) -> Simulation:
     # The address parser converts the host to lower case, so the name, which may be the path of a file, is read here.
-    name = robot.partition("://")[2].partition("?")[0] or _DEFAULT_SIMULATION
-    return simulated_station(Simulation.read(name), table, start, None if seed == -1 else seed)
+    return Simulation.read(address.partition("://")[2].partition("?")[0] or _DEFAULT_SIMULATION)
 
 
 def simulated_station(

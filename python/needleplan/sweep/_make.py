@@ -8,7 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
-from needleplan.artifacts import short_html, short_repr, version, write_whole
+from needleplan.artifacts import ShortRepr, version, write_whole
 from needleplan.errors import InputError, Mistake, OutputError, SweepError
 from needleplan.planning import PolicyTable, SpaceTable, Status
 from needleplan.sweep._engine import Engine, run_tasks
@@ -22,7 +22,7 @@ __all__ = ["TableSetReport", "make_table_set"]
 
 
 @dataclass
-class TableSetReport:
+class TableSetReport(ShortRepr):
     """What a run of a sweep did.
 
     Attributes
@@ -58,9 +58,6 @@ class TableSetReport:
     missing: int = 0
     stopped: str = ""
     bytes: int = 0
-
-    __repr__ = short_repr
-    _repr_html_ = short_html
 
     @property
     def complete(self) -> bool:

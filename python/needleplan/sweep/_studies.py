@@ -27,7 +27,7 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from needleplan.artifacts import call_repr, short_html, short_repr
+from needleplan.artifacts import CallRepr, ShortRepr
 from needleplan.config import plain
 from needleplan.errors import Mistake, SweepError
 from needleplan.planning import PolicyTable
@@ -64,31 +64,25 @@ GOALS = {"success": 1, "clearance_mm": 1, "length_mm": -1, "turns": -1}
 
 
 @dataclass(frozen=True)
-class QuantityMap:
+class QuantityMap(ShortRepr):
     """A quantity over two parameters: `values` has the shape (len(y), len(x)); missing ones are NaN."""
 
     x: tuple[Any, ...]
     y: tuple[Any, ...]
     values: NDArray[np.float64]
 
-    __repr__ = short_repr
-    _repr_html_ = short_html
-
 
 @dataclass(frozen=True)
-class TableSetEntryMap:
+class TableSetEntryMap(ShortRepr):
     """Success over the entry position and one parameter: `success` has the shape (len(levels), len(position_mm))."""
 
     levels: tuple[Any, ...]
     position_mm: NDArray[np.float64]
     success: NDArray[np.float64]
 
-    __repr__ = short_repr
-    _repr_html_ = short_html
-
 
 @dataclass(frozen=True)
-class ParameterEffect:
+class ParameterEffect(CallRepr):
     """Effect of one parameter on a quantity: range of its main effect, and its share of the variance.
 
     `chance` is the share that a parameter without effect would have on average; 0 in a complete product.
@@ -101,11 +95,9 @@ class ParameterEffect:
     main_effect: tuple[float, ...]
     chance: float = 0.0
 
-    __repr__ = call_repr
-
 
 @dataclass(frozen=True)
-class WrongParameter:
+class WrongParameter(CallRepr):
     """A plan that was made for other values than the true ones: its realised success, and that of the right plan.
 
     The intervals are 95 % confidence intervals (Wilson).
@@ -116,8 +108,6 @@ class WrongParameter:
     replanned: float
     success_interval: tuple[float, float]
     replanned_interval: tuple[float, float]
-
-    __repr__ = call_repr
 
 
 def quantity_map(table_set: TableSet, x: str, y: str, quantity: str = "success") -> QuantityMap:

@@ -111,7 +111,7 @@ class SweptParameter(ConfigTable, key="parameter", error=SweepError, between=(_o
 
     @cached_property
     def levels(self) -> tuple[object, ...]:
-        """The values; those of a range include both ends."""
+        """The values; a range includes both ends."""
         return (
             self.values if self.values is not None else tuple(self.at(i / (self.count - 1)) for i in range(self.count))
         )

@@ -10,7 +10,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 from needleplan.anatomy import AnatomyFile
-from needleplan.artifacts import call_repr, short_html
+from needleplan.artifacts import CallRepr, short_html
 from needleplan.config import plain, shown, suggestion
 from needleplan.errors import InputError, Mistake, SweepError
 from needleplan.planning import Table
@@ -31,7 +31,7 @@ _SAME = 1e-9
 
 
 @dataclass(frozen=True)
-class TableSetEntry:
+class TableSetEntry(CallRepr):
     """One point of a table set: the values of its parameters, and the record of its table.
 
     Attributes
@@ -49,8 +49,6 @@ class TableSetEntry:
     record: dict[str, Any] | None
     _store: TableSetStore = field(repr=False)
     _point: StoredPoint = field(repr=False)
-
-    __repr__ = call_repr
 
     @property
     def why(self) -> str:

@@ -51,7 +51,7 @@ class SteeringCase:
 
     `start` is x_mm, y_mm, heading_rad; None means the best entry. The bevel is that of the lower cost. `servo_hz` is
     the rate of the robot's servo; it is lower than in other labs, because servo samples dominate the computing time.
-    `beyond_mm` is that of the control loop.
+    `beyond_mm` is that of the control loop. With `planned_noise` the needle has the tip noise of the plan.
     """
 
     name: str
@@ -62,6 +62,7 @@ class SteeringCase:
     velocity_rad_s: float = 10.0
     servo_hz: int = 400
     beyond_mm: float = 0.0
+    planned_noise: bool = False
 
     @property
     def table(self) -> PolicyTable:
@@ -82,7 +83,7 @@ class SteeringCase:
     def station(self, seed: int, curvature_error: float = 0.0) -> SimulatedStation:
         """Return the devices of a new lab with this seed and this `curvature_error` (see `SteeringTask`)."""
         setup = self.simulation.setup
-        noise = setup.effects.heading_noise_rad_sqrt_mm or 0.0  # not that of the plan
+        noise = None if self.planned_noise else setup.effects.heading_noise_rad_sqrt_mm or 0.0
         effects = replace(setup.effects, curvature_error=curvature_error, heading_noise_rad_sqrt_mm=noise)
         setup = replace(setup, effects=effects, robot=replace(setup.robot, servo_hz=self.servo_hz))
         return simulated_station(replace(self.simulation, setup=setup), self.table, self.pose, seed)

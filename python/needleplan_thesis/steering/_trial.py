@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from needleplan.control import Insertion, Listener, Options, path_distances_mm
+from needleplan.control import Insertion, Listener, Options, path_distances_mm, planned_tip_settings
 from needleplan.control.safety import SafetyLimits
 from needleplan.estimation.tip import TipEstimate, TipSettings
 from needleplan.planning import Action, PolicyTable, wilson
@@ -107,7 +107,10 @@ def _with_feedback(task: SteeringTask) -> SteeringTrial:
     insertion = Insertion(
         table, station, options, registration=station.registration, limits=limits, listeners=[truth],
         accepted_limits="the speed of the study",
-        tip_settings=TipSettings(image_latency_s=station.lab.plant.setup.effects.ultrasound_delay_s),
+        tip_settings=replace(
+            planned_tip_settings(table) if case.planned_noise else TipSettings(),
+            image_latency_s=station.lab.plant.setup.effects.ultrasound_delay_s,
+        ),
     )  # fmt: skip
     with station, insertion:
         report = insertion.run()

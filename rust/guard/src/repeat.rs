@@ -39,7 +39,7 @@ impl RepeatedStop {
     /// Whether a stop is decided and has not been answered, or was not answered.
     #[must_use]
     pub fn is_on_its_way(&self) -> bool {
-        self.in_flight > 0 || self.arrived_ns == NEVER
+        self.arrived_ns == NEVER
     }
 
     /// Note that a stop is about to be sent.

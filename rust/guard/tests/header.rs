@@ -53,6 +53,6 @@ fn a_c_program_decides_as_the_crate_does() {
     command.arg(Path::new(CRATE).join("include")).arg(Path::new(CRATE).join("tests/c/program.c"));
     command.arg(archive).arg("-lm").arg("-o").arg(&program);
     assert!(command.status().unwrap().success());
-    let output = Command::new(&program).output().unwrap();
+    let output = Command::new(&program).arg(Path::new(CRATE).join("tests/transitions.csv")).output().unwrap();
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stdout));
 }

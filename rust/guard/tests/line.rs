@@ -214,5 +214,8 @@ fn a_stop_overtakes_all_but_stops_and_a_full_queue_drops_its_oldest() {
         queue.put(sender, &command(Kind::Stop));
     }
     queue.put(99, &command(Kind::Alive));
-    assert_eq!((leaving(&mut queue, 0), queue.dropped), (Some((1, Kind::Stop as u8)), 2));
+    for sender in 1..9 {
+        assert_eq!(leaving(&mut queue, i64::from(sender) * 1_000 * MS), Some((sender, Kind::Stop as u8)));
+    }
+    assert_eq!((queue.wait_ns(0), queue.dropped), (None, 2));
 }

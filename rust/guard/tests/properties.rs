@@ -176,7 +176,7 @@ proptest! {
     /// The window beside the smallest force of the last 50 ms, found in the list of all.
     #[test]
     fn the_rise_is_that_above_the_minimum_of_the_window(
-        samples in proptest::collection::vec((0..20 * MS, 0.0..10.0), 1..200),
+        samples in proptest::collection::vec((prop_oneof![0..20 * MS, 0..2 * WINDOW_NS, Just(WINDOW_NS / 2)], 0.0..10.0), 1..200),
     ) {
         let (mut rise, mut time_ns, mut all) = (ForceRise::new(), 0, Vec::new());
         for (step_ns, force_n) in samples {
@@ -188,6 +188,7 @@ proptest! {
             let least = window.fold(f64::INFINITY, |least, (_, force_n)| least.min(*force_n));
             prop_assert_eq!(rise.rise_n(), force_n - least);
             prop_assert!(!rise.exceeds(rise.rise_n() / 0.05 + 1e-6));
+            prop_assert!(rise.exceeds(rise.rise_n() / 0.05 - 1e-6));
         }
     }
 

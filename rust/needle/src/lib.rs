@@ -49,6 +49,7 @@ mod clearance;
 mod look_ahead;
 mod lookup;
 mod problem;
+mod random;
 mod regions;
 mod rod;
 mod rollout;
@@ -57,6 +58,7 @@ pub mod space;
 mod surroundings;
 mod tissues;
 mod truth;
+mod unseen;
 mod workspace;
 
 pub use arc::Arc;

@@ -6,7 +6,6 @@
 
 use ppvi::lattice::{LatticeMdp, Motion, STRAIGHT};
 use ppvi::{Error, Result, StopFlag};
-use rand::SeedableRng;
 use rand::rand_core::Rng;
 use rand_xoshiro::Xoshiro256PlusPlus;
 use rayon::prelude::*;
@@ -15,8 +14,10 @@ use crate::arc::Arc;
 use crate::bicycle::Bicycle;
 use crate::lookup::{Pose, TableGrid};
 use crate::problem::SteeringProblem;
+use crate::random::stream;
 use crate::setup::Setup;
 use crate::surroundings::{AsPlanned, Surroundings, Truth};
+use crate::unseen::Unseen;
 use crate::workspace::Event;
 
 /// Number of pieces of equal length of an arc through tissues of different curvature, if the whole arc is tested.
@@ -145,7 +146,8 @@ impl<'a> Executor<'a> {
         let stop = StopFlag::current();
         let run = |index: usize| {
             let mut random = noise.then(|| stream(seed, index as u64));
-            let (start, truth) = (Pose::of(starts[index / runs]), truths.get(index / runs));
+            let start = Pose::of(starts[index / runs]);
+            let truth = truths.get(index / runs).map(|truth| Unseen::new(*truth));
             self.run(start, truth, max_steps, random.as_mut(), &stop, |_, _| {})
         };
         for first in (0..total).step_by(BATCH) {
@@ -183,16 +185,16 @@ impl<'a> Executor<'a> {
     fn run(
         &self,
         start: Pose,
-        truth: Option<&Truth>,
+        mut truth: Option<Unseen>,
         max_steps: u32,
         mut random: Option<&mut Xoshiro256PlusPlus>,
         stop: &StopFlag,
         mut record: impl FnMut(u8, Pose),
     ) -> Run {
         let costs = &self.setup.costs;
-        let event = match truth {
+        let event = match &truth {
             None => self.setup.workspace.event([start.x, start.y]),
-            Some(truth) => self.true_start(truth, start),
+            Some(unseen) => self.true_start(&unseen.truth, start),
         };
         let mut run = Run { event, length: 0.0, straight_length: 0.0, turns: 0, cost: 0.0 };
         let (mut pose, mut weight) = (start, 1.0);
@@ -205,19 +207,21 @@ impl<'a> Executor<'a> {
                 Execution::Nearest => self.grid.index(pose).map_or(0, |index| self.policy[index]),
                 Execution::Greedy => self.greedy_action(pose),
             };
-            let (event, mut next) = match truth {
+            let needle = self.needle_at(pose);
+            let is_late = truth.as_ref().is_some_and(Unseen::is_late);
+            let (event, mut next) = match &mut truth {
                 None => self.step(pose, action),
-                Some(truth) => self.true_step(truth, pose, action),
+                Some(unseen) if is_late => self.late_step(unseen, pose, action, random.as_deref_mut()),
+                Some(unseen) => self.true_step(&unseen.truth, pose, action, needle.step_length()),
             };
             let turn = u8::from(action == 1);
             run.turns += u32::from(turn);
-            let needle = self.needle_at(pose);
             run.length += needle.step_length();
             run.straight_length += if action == STRAIGHT { needle.step_length() } else { 0.0 };
             let step_cost = self.setup.step_cost(motion(action), needle, [pose.x, pose.y]);
             run.cost += weight * (step_cost + f64::from(turn) * costs.rotation + self.setup.failure_cost(event));
             weight *= costs.discount;
-            if let Some(random) = random.as_mut() {
+            if let Some(random) = random.as_mut().filter(|_| !is_late) {
                 let steps = heading_noise(&self.setup.noise, random);
                 next.heading += f64::from(steps) * self.setup.noise_step();
             }
@@ -342,12 +346,6 @@ fn heading_noise(noise: &[f64], random: &mut Xoshiro256PlusPlus) -> i32 {
         }
     }
     0
-}
-
-/// The random stream of a run: seed and run number, mixed by splitmix64 inside `seed_from_u64`.
-fn stream(seed: u64, run: u64) -> Xoshiro256PlusPlus {
-    let spread = run.wrapping_add(1).wrapping_mul(0x9E37_79B9_7F4A_7C15).rotate_left(32);
-    Xoshiro256PlusPlus::seed_from_u64(seed ^ spread)
 }
 
 #[cfg(test)]

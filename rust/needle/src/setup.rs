@@ -116,6 +116,12 @@ impl Setup {
         self.noise_step.unwrap_or(self.needle.heading_step())
     }
 
+    /// Standard deviation of the tip noise of a step, rad.
+    pub fn noise_sd(&self) -> f64 {
+        let squares = self.noise.iter().enumerate().map(|(steps, chance)| 2.0 * chance * (steps * steps) as f64);
+        self.noise_step() * squares.sum::<f64>().sqrt()
+    }
+
     fn validate_straight(&self) -> Result<()> {
         match self.straight {
             Some(Straight { curvature_share: share, .. }) if !(0.0..=1.0).contains(&share) => {

@@ -17,12 +17,22 @@ pub struct Truth {
     pub aside: f64,
     /// Curvature of the needle, relative to the planned one.
     pub curvature: f64,
+    /// Length behind the tip, mm, whose tip noise the controller does not know yet.
+    pub behind: f64,
 }
 
 impl Truth {
     /// Whether the anatomy is where the plan says.
     pub(crate) fn is_in_place(&self) -> bool {
         self.turn == 0.0 && self.shift == [0.0; 2] && self.aside == 0.0
+    }
+
+    /// The truth where a believed pose is this one in the anatomy, and the others move rigidly with it.
+    pub(crate) fn between(self, believed: Pose, real: Pose) -> Truth {
+        let turn = real.heading - believed.heading;
+        let (sin, cos) = turn.sin_cos();
+        let shift = [real.x - (cos * believed.x - sin * believed.y), real.y - (sin * believed.x + cos * believed.y)];
+        Truth { turn, shift, ..self }
     }
 
     /// The pose in the anatomy.

@@ -55,16 +55,17 @@ pub(crate) fn poses(array: &PyReadonlyArray2<'_, f64>) -> PyResult<Vec<[f64; 4]>
     Ok(rows("starts", array)?.to_vec())
 }
 
-/// Rows of the turn, rad, the shift along x, y and z, mm, and the relative curvature of an execution.
+/// Rows of the turn, rad, the shift along x, y and z, mm, the relative curvature, and the length behind the tip, mm.
 ///
 /// # Errors
 /// As [`rows`].
 pub(crate) fn truths(array: &PyReadonlyArray2<'_, f64>) -> PyResult<Vec<Truth>> {
-    let truth = |[turn, x, y, aside, curvature]: &[f64; 5]| Truth {
+    let truth = |[turn, x, y, aside, curvature, behind]: &[f64; 6]| Truth {
         turn: *turn,
         shift: [*x, *y],
         aside: *aside,
         curvature: *curvature,
+        behind: *behind,
     };
     Ok(rows("truths", array)?.iter().map(truth).collect())
 }
@@ -89,14 +90,16 @@ pub(crate) fn one_pose(array: &PyReadonlyArray2<'_, f64>) -> PyResult<SpacePose>
     }
 }
 
-/// Rows of the three rows of a rigid motion, each rotation and shift, mm, and the relative curvature of an execution.
+/// Rows of the three rows of a rigid motion, each rotation and shift, mm, the relative curvature, and the length behind the
+/// tip, mm.
 ///
 /// # Errors
 /// As [`rows`].
 pub(crate) fn space_truths(array: &PyReadonlyArray2<'_, f64>) -> PyResult<Vec<SpaceTruth>> {
-    let truth = |row: &[f64; 13]| SpaceTruth {
+    let truth = |row: &[f64; 14]| SpaceTruth {
         rows: [0, 1, 2].map(|axis| [0, 1, 2, 3].map(|at| row[4 * axis + at])),
         curvature: row[12],
+        behind: row[13],
     };
     Ok(rows("truths", array)?.iter().map(truth).collect())
 }

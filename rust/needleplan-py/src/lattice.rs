@@ -267,7 +267,8 @@ impl Lattice {
         self.table(py, outcomes)
     }
 
-    /// Executions in the continuous model. `truths`: turn, shift along x, y and z, and relative curvature for each start.
+    /// Executions in the continuous model. `truths`: turn, shift along x, y and z, relative curvature, and length
+    /// behind the tip for each start.
     #[pyo3(signature = (policy, values, starts, *, runs, seed, greedy=false, arc_samples=None, noise=true, max_steps, truths=None, threads=None))]
     #[allow(clippy::too_many_arguments)]
     fn rollout<'py>(

@@ -354,7 +354,8 @@ impl SolvedSpace {
     }
 
     /// Outcomes of an execution from each pose, `[n, 6]`, with the noise of the first runs of a rollout, where the plan is
-    /// wrong as `truths`, `[n, 13]`, say: the rows of a rigid motion from believed to true positions, and the relative curvature.
+    /// wrong as `truths`, `[n, 14]`, say: the rows of a rigid motion from believed to true positions, the relative curvature,
+    /// and the length behind the tip, mm, whose tip noise is not known.
     /// `anatomy` has the voxels of the true anatomy in the same frame, if they are not those of the plan.
     #[allow(clippy::too_many_arguments)]
     #[pyo3(signature = (poses_mm, truths, *, center_mm, seed, anatomy=None, threads=None))]

@@ -3,8 +3,6 @@
 argv[2] is `collect` where it is to collect garbage, a lot of it, as soon as it hears a line on its standard input.
 """
 
-from __future__ import annotations
-
 import contextlib
 import gc
 import json

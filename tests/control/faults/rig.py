@@ -12,12 +12,14 @@ from typing import Any
 
 from needleplan.control.safety import GuardedStage, OperatingState, Order, SafetyEvent, SafetyEventName, SafetyLimits
 from needleplan.devices import ForceSensor, PoseSample, Source, Tracker, VirtualClock
-from needleplan.devices.ati import BoxLink, NetFt, NetFtBox, parse_configuration
-from needleplan.devices.ndi import AuroraDevice, AuroraLink, NdiTracker, SimulatedTool
+from needleplan.devices.ati import NetFt, NetFtBox, parse_configuration
+from needleplan.devices.ndi import AuroraDevice, NdiTracker, SimulatedTool
 from needleplan.errors import DeviceFault, NeedleplanError
 from needleplan.recording import EVENT, Recorder, Recording, Session, WhenFull
 from tests.control.safety.bench import NotedStage
 from tests.devices.ati.bench import Wrench
+from tests.devices.ati.box_link import BoxLink
+from tests.devices.ndi.aurora_link import AuroraLink
 from tests.devices.ndi.bench import REFERENCE, TIP, needle, plate
 
 TURN_S = 0.005

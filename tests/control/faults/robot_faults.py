@@ -1,7 +1,5 @@
 """Faults 28 to 33 and 36 of robot and link: how each is injected."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import pytest

@@ -1,7 +1,5 @@
 """A guarded robot that speaks its bytes over a network that can be told to misbehave, on a virtual clock."""
 
-from __future__ import annotations
-
 import contextlib
 
 from needleplan.control.safety import Cause, GuardedStage, Order, SafetyEvent, SafetyEventName, SafetyLimits

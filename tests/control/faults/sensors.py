@@ -1,7 +1,5 @@
 """Faults 1 to 27: how each is injected into the bytes, and where it must end."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 

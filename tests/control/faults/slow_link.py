@@ -1,7 +1,5 @@
 """A link whose datagrams come later than they were sent, by a delay that is a function of time."""
 
-from __future__ import annotations
-
 from collections import deque
 from collections.abc import Callable
 

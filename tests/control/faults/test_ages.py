@@ -1,7 +1,5 @@
 """Streams that come later and later: each is stale by the clock of its own device, before its samples mislead."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

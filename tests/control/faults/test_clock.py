@@ -1,7 +1,5 @@
 """Fault 34: somebody sets the time of day; nothing that decides about motion asks for it."""
 
-from __future__ import annotations
-
 import ast
 import time
 from pathlib import Path

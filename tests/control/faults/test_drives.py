@@ -1,7 +1,5 @@
 """Faults 28 and 29 of drives on a CAN bus through the guard: FAULT for the stage, and the axes come to rest."""
 
-from __future__ import annotations
-
 import contextlib
 import time
 from collections.abc import Callable

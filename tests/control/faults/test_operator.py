@@ -1,7 +1,5 @@
 """Fault 36: what operator and planner get wrong; nothing moves, or nothing goes on moving."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from pathlib import Path

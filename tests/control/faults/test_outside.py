@@ -1,7 +1,5 @@
 """Faults that are provoked from outside: the relays of `benches/python/fault_proxy.py`, and two of its faults."""
 
-from __future__ import annotations
-
 import importlib
 import socket
 import subprocess

@@ -1,7 +1,5 @@
 """Fault 33 with real processes: a loop that is stopped, killed, or collects garbage; the robot stands by itself."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import os

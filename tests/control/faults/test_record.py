@@ -1,7 +1,5 @@
 """Fault 35: what becomes of the run where the recorder stalls, loses messages, dies or cannot keep up."""
 
-from __future__ import annotations
-
 import errno
 import os
 import threading

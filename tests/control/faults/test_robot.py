@@ -1,7 +1,5 @@
 """Faults 28 to 33 of robot and link through the guard: its state, its cause, and whether the needle stands."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import pytest

@@ -1,7 +1,5 @@
 """Faults 1 to 27 through the guard: each ends in its state, in time, with its cause in the recording."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from pathlib import Path

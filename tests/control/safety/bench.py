@@ -1,7 +1,5 @@
 """A guard before a stage that only notes what it is told, with samples that are as good as one likes."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from typing import Any

@@ -8,8 +8,6 @@ change of the causes, with or without a validation, with or without a measured r
 are equal are explored once.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from enum import Enum

@@ -3,8 +3,6 @@
 Each rule may veto. A transition is what no rule forbids and one rule demands.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 PAUSING = {

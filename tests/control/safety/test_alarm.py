@@ -1,7 +1,5 @@
 """The alarm of the guard: a needle that moves in spite of a stop, or whose rest is unknown."""
 
-from __future__ import annotations
-
 import pytest
 
 from needleplan.control.safety import OperatingState, Order

@@ -1,7 +1,5 @@
 """Exactly at a limit is allowed, the next number beyond it is not: every limit, by the pure functions."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from typing import Any

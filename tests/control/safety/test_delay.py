@@ -1,7 +1,5 @@
 """How long samples were on their way: what waits in a buffer does not pass for fresh."""
 
-from __future__ import annotations
-
 from itertools import accumulate
 
 import pytest

@@ -1,7 +1,5 @@
 """All interleavings of person, loop, sensors and robot, until no new state is left; mutants must be found."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

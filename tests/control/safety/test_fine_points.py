@@ -1,7 +1,5 @@
 """Behaviours that surviving mutants of the guard (benches/python/mutation.py) showed to be untested."""
 
-from __future__ import annotations
-
 import threading
 from dataclasses import FrozenInstanceError, replace
 from typing import Any

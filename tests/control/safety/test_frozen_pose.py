@@ -1,7 +1,5 @@
 """A pose that repeats bit for bit while the stage moves: the tracker, or the program that passes it on, hangs."""
 
-from __future__ import annotations
-
 import pytest
 
 from needleplan.control.safety import Cause, OperatingState

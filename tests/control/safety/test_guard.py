@@ -1,7 +1,5 @@
 """The guard: what reaches the stage, and what does not."""
 
-from __future__ import annotations
-
 import math
 import threading
 from typing import Any

@@ -1,7 +1,5 @@
 """Long histories of orders, commands, samples and faults at the real guard: the stage stays within its limits."""
 
-from __future__ import annotations
-
 import contextlib
 from collections.abc import Callable
 

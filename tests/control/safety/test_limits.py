@@ -1,7 +1,5 @@
 """The limits: every one of them is checked, in the constructor and in a file."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import fields
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The states: every transition of the table, and long histories beside a slow model of the rules."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import product
 

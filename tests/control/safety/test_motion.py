@@ -1,7 +1,5 @@
 """Whether the stage does what it was told: the faults that only its samples show."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """All short sequences of orders, commands and faults: a fault stops a moving insertion, whatever went before."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Hashable
 from contextlib import suppress
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """A command that a stop has overtaken on the wire: the cause of the stop is told, and not that the stage refused it."""
 
-from __future__ import annotations
-
 import threading
 
 import pytest

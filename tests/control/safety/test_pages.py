@@ -1,7 +1,5 @@
 """The pages of the reference say what the code does: every cause, every limit, every fault and its test."""
 
-from __future__ import annotations
-
 import csv
 import re
 from dataclasses import fields

@@ -1,7 +1,5 @@
 """Retraction by a person: in every state, outward only, and nothing but the person stops it."""
 
-from __future__ import annotations
-
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st

@@ -1,7 +1,5 @@
 """The threads that own the socket of a robot, in real time, while Python holds its interpreter or posts nothing."""
 
-from __future__ import annotations
-
 import contextlib
 import ctypes
 import socket

@@ -1,7 +1,5 @@
 """The guard of Rust beside its twin in Python: the same transitions from any state, on random steps and histories."""
 
-from __future__ import annotations
-
 import random
 
 import pytest

@@ -1,7 +1,5 @@
 """The watchdog, in real time: a loop that hangs is stopped, also while it holds the guard."""
 
-from __future__ import annotations
-
 import gc
 import threading
 import time

@@ -1,7 +1,5 @@
 """A lost zero: the stage is told, and no run begins until a person has homed it, also with another guard."""
 
-from __future__ import annotations
-
 import pytest
 
 from needleplan.control.safety import Cause, GuardedStage, OperatingState, Order, Owner

@@ -3,8 +3,6 @@
 `rust/guard/src/advance.rs` has the rules. Mutants of the twin show that the explorer finds mistakes.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 

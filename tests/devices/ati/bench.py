@@ -5,7 +5,8 @@ from __future__ import annotations
 import random
 
 from needleplan.devices import VirtualClock
-from needleplan.devices.ati import BoxLink, ForceLimits, NetFt, NetFtBox, parse_configuration
+from needleplan.devices.ati import ForceLimits, NetFt, NetFtBox, parse_configuration
+from tests.devices.ati.box_link import BoxLink
 
 
 class Wrench:

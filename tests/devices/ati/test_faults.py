@@ -1,7 +1,5 @@
 """Faults 1 to 17 of the device layer: each ends in the documented state, with its cause."""
 
-from __future__ import annotations
-
 import random
 from collections.abc import Callable
 

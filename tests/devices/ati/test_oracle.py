@@ -1,7 +1,5 @@
 """pynetft, an independent client, is content with our box, and reads the same wrench from the same bytes."""
 
-from __future__ import annotations
-
 from itertools import islice
 
 import pytest

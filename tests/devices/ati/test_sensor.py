@@ -1,7 +1,5 @@
 """One class of tests on a box in this process, on one behind real sockets, and on hardware where there is one."""
 
-from __future__ import annotations
-
 import os
 import socket
 from collections import deque

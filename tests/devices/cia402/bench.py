@@ -1,7 +1,5 @@
 """Two simulated drives on a CAN bus inside this process."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager

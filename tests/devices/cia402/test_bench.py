@@ -1,7 +1,5 @@
 """Drives, force sensor and a tracker behind PLUS, opened by address as `needleplan insert` opens them."""
 
-from __future__ import annotations
-
 import time
 from collections import deque
 from pathlib import Path

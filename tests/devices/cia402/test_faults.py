@@ -1,7 +1,5 @@
 """Faults 28 to 31 on a bus in this process, and what a drive does by itself when nobody is left to tell it."""
 
-from __future__ import annotations
-
 from collections import deque
 from collections.abc import Callable
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Rounds of questions on a virtual clock, with answers that come late."""
 
-from __future__ import annotations
-
 from typing import cast
 
 from needleplan.devices import VirtualClock

@@ -1,7 +1,5 @@
 """The contract of a stage on drives of a bus in this process, and on hardware where there is some that may move."""
 
-from __future__ import annotations
-
 import os
 import struct
 import subprocess

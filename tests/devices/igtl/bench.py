@@ -7,7 +7,8 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from needleplan.devices import VirtualClock
-from needleplan.devices.igtl import IgtlPoseLimits, IgtlTracker, PlusDevice, PlusFaults, PlusLink, PoseKind, TrackedTool
+from needleplan.devices.igtl import IgtlPoseLimits, IgtlTracker, PlusDevice, PlusFaults, PoseKind, TrackedTool
+from tests.devices.igtl.plus_link import PlusLink
 
 TIP, PLATE = "NeedleToTracker", "PlateToTracker"
 

@@ -15,12 +15,8 @@ from needleplan.devices.igtl.contents import (
     StatusCode,
     Unit,
     decode_points,
-    decode_polyline,
     decode_reply,
-    decode_sensor,
     decode_start,
-    decode_status,
-    decode_string,
     encode_points,
     encode_polyline,
     encode_sensor,
@@ -43,6 +39,7 @@ from needleplan.devices.igtl.poses import (
     encode_transform,
 )
 from needleplan.errors import InputError, ProtocolError
+from tests.devices.igtl.decoding import decode_polyline, decode_sensor, decode_status, decode_string
 
 singles = st.floats(-1e4, 1e4, width=32)
 places = st.tuples(singles, singles, singles)

@@ -1,7 +1,5 @@
 """Faults 18 to 27 of a tracker, as far as OpenIGTLink has them, on a virtual clock."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

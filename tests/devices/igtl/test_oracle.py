@@ -15,7 +15,6 @@ from needleplan.devices.igtl import IgtlPoseLimits, IgtlTracker, PlusServer, Sli
 from needleplan.devices.igtl.contents import (
     Point,
     decode_points,
-    decode_string,
     encode_points,
     encode_polyline,
     encode_string,
@@ -23,6 +22,7 @@ from needleplan.devices.igtl.contents import (
 from needleplan.devices.igtl.messages import IgtlMessage, MessageReader, encode_message, stamp_of
 from needleplan.devices.igtl.poses import IgtlPose, decode_transform, encode_transform
 from tests.devices.igtl.bench import TIP, plus
+from tests.devices.igtl.decoding import decode_string
 
 pyigtl = pytest.importorskip("pyigtl", reason="the independent implementation pyigtl is not installed (extra: test)")
 

@@ -17,15 +17,12 @@ from needleplan.devices.igtl.contents import (
     Sensor,
     Unit,
     decode_points,
-    decode_polyline,
     decode_reply,
-    decode_sensor,
-    decode_status,
-    decode_string,
 )
 from needleplan.devices.igtl.messages import IgtlMessage, MessageReader, encode_message
 from needleplan.devices.igtl.poses import decode_transform
 from needleplan.errors import AddressError, DeviceFault, InputError
+from tests.devices.igtl.decoding import decode_polyline, decode_sensor, decode_status, decode_string
 
 LONG_S = 20.0
 """Longer than anything takes on a machine with other things to do."""

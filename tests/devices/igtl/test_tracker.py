@@ -8,10 +8,11 @@ from collections.abc import Iterator
 import pytest
 
 from needleplan.devices import Health, Tracker
-from needleplan.devices.igtl import IgtlPoseLimits, IgtlTracker, PlusLink, PlusServer, PoseKind
+from needleplan.devices.igtl import IgtlPoseLimits, IgtlTracker, PlusServer, PoseKind
 from needleplan.errors import AddressError, ConfigurationError, DeviceFault, LinkClosed, ProtocolError
 from tests.devices.contract import TrackerContract
 from tests.devices.igtl.bench import TIP, Bench, plus
+from tests.devices.igtl.plus_link import PlusLink
 
 HARDWARE = "NEEDLEPLAN_TEST_IGTL"
 PATIENT = IgtlPoseLimits(start_s=20.0, silence_s=5.0, late_s=5.0)
@@ -74,8 +75,8 @@ def test_27_a_server_that_goes_away_closes_the_link_for_good() -> None:
 
 @pytest.mark.parametrize(
     ("address", "message"),
-    [("tcp://127.0.0.1:1/x", "must begin with igtl"), ("igtl://127.0.0.1", "must name the tracked device"),
-     ("igtl://127.0.0.1/", "must name the tracked device"), ("igtl://127.0.0.1/a/b", "must name the tracked device"),
+    [("tcp://127.0.0.1:1/x", "must begin with igtl"), ("igtl://127.0.0.1", "must name the device"),
+     ("igtl://127.0.0.1/", "must name the device"), ("igtl://127.0.0.1/a/b", "must name the device of the messages"),
      ("igtl://127.0.0.1/x?message=image", "message = image"), ("igtl://127.0.0.1/x?mesage=tdata", "did you mean"),
      ("igtl://127.0.0.1/x?rate_hz=-1", "rate_hz"), ("igtl://127.0.0.1/x?ask=perhaps", "ask = perhaps"),
      ("igtl:///x", "must name a host")],

@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 
 from needleplan.devices import VirtualClock
-from needleplan.devices.ndi import AuroraDevice, AuroraLink, NdiPoseLimits, NdiTracker, SimulatedTool
+from needleplan.devices.ndi import AuroraDevice, NdiPoseLimits, NdiTracker, SimulatedTool
+from tests.devices.ndi.aurora_link import AuroraLink
 
 TIP, REFERENCE = "34801403", "34801404"
 

@@ -1,7 +1,5 @@
 """Faults 18 to 27 of the device layer: each ends in the documented state, with its cause."""
 
-from __future__ import annotations
-
 import math
 
 import pytest

@@ -1,7 +1,5 @@
 """ndicapi, an independent client, is content with our device, and reads the same poses from the same bytes."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import pytest

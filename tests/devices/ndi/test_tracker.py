@@ -1,7 +1,5 @@
 """One class of tests on a device in this process, behind TCP and a pseudo-terminal, and on hardware if there is one."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Iterator
 

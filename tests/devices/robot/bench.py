@@ -1,7 +1,5 @@
 """A robot on a virtual clock, and a network between it and its controllers that can be told to misbehave."""
 
-from __future__ import annotations
-
 from collections import deque
 from dataclasses import replace
 from itertools import count

@@ -5,8 +5,6 @@ byte with the probability P, `noise P` adds a random byte after each with P, `cu
 with P, `garble 1` changes all bytes as a wrong speed does, `unplug 1` closes the end of the controller.
 """
 
-from __future__ import annotations
-
 import contextlib
 import os
 import random

@@ -3,8 +3,6 @@
 Prints `moving` once it does, and what fault ends it.
 """
 
-from __future__ import annotations
-
 import sys
 
 from needleplan.devices.robot import RobotStage, RobotTiming

@@ -139,6 +139,33 @@ def takes_repeated_datagrams_for_life(robot: Faulty) -> None:
     robot.receives(lambda each: replace(each, head=replace(each.head, sequence=next(sequences))))
 
 
+@planted("repeated-hello")
+def takes_repeated_hello_for_life(robot: Faulty) -> None:
+    def see(message: Any) -> Any:
+        if robot.session and isinstance(message, Hello):
+            robot.session.received_ns = robot.bench.machine._now_ns
+        return message
+
+    robot.receives(see)
+
+
+@planted("once")
+def forgets_its_answer_with_the_next_hello(robot: Faulty) -> None:
+    forgotten: set[int] = set()
+
+    def see(message: Any) -> Any:
+        if isinstance(message, Hello):
+            forgotten.update([robot.session.number] if robot.session else [])
+        return None if message.head.number in forgotten else message
+
+    robot.receives(see)
+
+
+@planted("stop-overtaken")
+def drops_what_was_overtaken(robot: Faulty) -> None:
+    robot.receives(lambda each: None if robot.session and each.head.sequence <= robot.session.sequence else each)
+
+
 @planted("late-heartbeat")
 def takes_late_heartbeats_for_life(robot: Faulty) -> None:
     robot.receives(lambda each: replace(each, deadline_ns=2**63) if each.kind is K.ALIVE else each)
@@ -182,6 +209,19 @@ def compares_counters_without_wrap(robot: Faulty) -> None:
         highest[0] = max(highest[0], message.head.number)
         if robot.session and 0 < message.head.number < highest[0]:
             robot.session.number = message.head.number + 1
+        return message
+
+    robot.receives(see)
+
+
+@planted("wrap")
+def takes_nothing_for_life_after_a_wrap(robot: Faulty) -> None:
+    highest = [0]
+
+    def see(message: Any) -> Any:
+        highest[0] = max(highest[0], message.head.sequence)
+        if robot.session and message.head.sequence < highest[0]:
+            return replace(message, head=replace(message.head, sequence=robot.session.sequence))
         return message
 
     robot.receives(see)
@@ -255,6 +295,11 @@ def always_says_that_it_stands(robot: Faulty) -> None:
     robot.sends(lambda status: replace(status, standing=True))
 
 
+@planted("standing")
+def says_at_once_that_it_stands(robot: Faulty) -> None:
+    robot.sends(lambda status: replace(status, standing=not status.moving))
+
+
 @planted("insert")
 def says_during_a_motion_that_it_is_complete(robot: Faulty) -> None:
     robot.bench.drive.faults.claims_rest = True
@@ -324,6 +369,11 @@ def moves_on_after_goodbye(robot: Faulty) -> None:
 @planted("restart")
 def keeps_a_dead_controller(robot: Faulty) -> None:
     robot.bench.machine.limits = RobotLimits(release_s=1e9)
+
+
+@planted("restart")
+def releases_after_two_seconds(robot: Faulty) -> None:
+    robot.bench.machine.limits = RobotLimits(release_s=2.0)
 
 
 @planted("damaged")

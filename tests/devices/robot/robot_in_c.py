@@ -16,10 +16,16 @@ def free_port() -> int:
         return int(free.getsockname()[1])
 
 
-def robot_in_c(folder: Path, *options: str, source: str = "robot") -> Path:
-    """Compile `robot.c`, or another file of the example, with all warnings as errors, and return the program."""
-    made = folder / source
+def robot_in_c(folder: Path, *options: str, source: str = "robot", change: tuple[str, str] = ("", "")) -> Path:
+    """Compile `robot.c`, or another file of the example, with all warnings as errors, and return the program.
+
+    `change` replaces a text of the file.
+    """
+    made, example = folder / source, pages.ROOT / "examples/robot-in-c"
     strict = ("-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic", "-O2", f"-I{pages.ROOT}/docs/reference")
-    file = pages.ROOT / f"examples/robot-in-c/{source}.c"
-    subprocess.run(["cc", *strict, *options, file, "-o", made, "-lm"], check=True, timeout=120)
+    text = (example / f"{source}.c").read_text()
+    assert change[0] in text
+    file = folder / f"{source}.c"
+    file.write_text(text.replace(*change, 1))
+    subprocess.run(["cc", *strict, f"-I{example}", *options, file, "-o", made, "-lm"], check=True, timeout=120)
     return made

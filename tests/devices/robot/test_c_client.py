@@ -1,7 +1,5 @@
 """The control side in C of the examples drives a robot over a real socket."""
 
-from __future__ import annotations
-
 import shutil
 import subprocess
 from pathlib import Path

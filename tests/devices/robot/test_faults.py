@@ -3,8 +3,6 @@
 The clock is virtual. Fault 29 is that of CANopen drives.
 """
 
-from __future__ import annotations
-
 import pytest
 
 from needleplan.devices.robot import Fault, RobotDriveFaults, RobotState

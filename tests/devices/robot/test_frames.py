@@ -1,7 +1,5 @@
 """Frames of a serial line, and doubles for compilers without them: Python, the C header and the Rust crate agree."""
 
-from __future__ import annotations
-
 import math
 import random
 import struct

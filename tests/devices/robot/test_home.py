@@ -1,7 +1,5 @@
 """The zero of a robot: who knows that it is lost, and for how long; and robots and controllers of the older version."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest

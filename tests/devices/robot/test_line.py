@@ -1,7 +1,5 @@
 """A robot on a serial line: real pseudo-terminals, a paced cable between them, and what may happen to it."""
 
-from __future__ import annotations
-
 import fcntl
 import shutil
 import subprocess

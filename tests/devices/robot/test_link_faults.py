@@ -4,8 +4,6 @@ The clock is virtual, that of the robot is 77 s ahead, and datagrams take no tim
 real processes is in test_processes.
 """
 
-from __future__ import annotations
-
 import struct
 import zlib
 from collections import deque

@@ -1,7 +1,5 @@
 """Every command in every state of the capture side: what becomes of it, and of the state."""
 
-from __future__ import annotations
-
 import pytest
 
 from needleplan.devices.robot import Fault, RobotMachine, RobotState, SteadyDrive

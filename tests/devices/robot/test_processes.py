@@ -1,7 +1,5 @@
 """Faults 32 and 33 with real processes: a control side that is suspended or killed while the robot moves."""
 
-from __future__ import annotations
-
 import contextlib
 import signal
 import socket

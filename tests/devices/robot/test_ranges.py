@@ -1,7 +1,5 @@
 """Measured positions against the limits of the session, whatever was commanded: the robot stops by itself."""
 
-from __future__ import annotations
-
 import math
 import struct
 import subprocess

@@ -1,7 +1,5 @@
 """What a session agrees at HELLO: limits of motion and a key; and what becomes of those who do not keep to it."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 

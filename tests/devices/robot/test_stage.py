@@ -1,7 +1,5 @@
 """The contract of a stage in this process, over a real socket, and on hardware where there is some that may move."""
 
-from __future__ import annotations
-
 import os
 import socket
 import threading

@@ -1,7 +1,5 @@
 """The robot's own stop: the drives are stopped again until they stand."""
 
-from __future__ import annotations
-
 import pytest
 
 from needleplan.devices.robot import Fault, RobotState

@@ -1,7 +1,5 @@
 """Buckling loads against the determinant of the column's end conditions, integrated numerically."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

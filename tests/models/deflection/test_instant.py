@@ -1,7 +1,5 @@
 """The needle at an instant: exact solution, finite elements, collocation."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 
@@ -12,9 +10,10 @@ from hypothesis import strategies as st
 
 from needleplan.errors import ModelError
 from needleplan.models import NeedleShaft
-from needleplan.models.deflection import AxialTerms, Beam, ElasticTissue, solve_elements, solve_exact, solve_uniform
+from needleplan.models.deflection import AxialTerms, Beam, ElasticTissue, solve_elements, solve_uniform
 from tests.models.deflection.thesis import COIL_MM, NEEDLE, SOFT, STIFF, beam
 from tests.models.deflection.twin import collocation
+from tests.reference.exact_beam import solve_exact
 
 EXPONENTIAL = [AxialTerms.PRINTED, AxialTerms.PLAIN, AxialTerms.FIXED]
 ORACLES = {

@@ -1,7 +1,5 @@
 """The shape of a needle in layered tissue, by published numbers and by an integration that shares no code with ours."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """A shaft whose stiffness changes along it, against closed forms and collocation with one piece per stiffness."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 
@@ -18,12 +16,12 @@ from needleplan.models.deflection import (
     finite_depth_factor,
     march,
     solve_elements,
-    solve_exact,
     solve_uniform,
     steady_radius_mm,
     tip_path_mm,
 )
 from tests.models.deflection.thesis import NEEDLE
+from tests.reference.exact_beam import solve_exact
 
 GEL = ElasticTissue(3.87e-3, 123.9e-6)
 LENGTH = NEEDLE.length_mm

@@ -1,7 +1,5 @@
 """The path as a member of the family."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The needle and the gels of chapter 5, with the numbers as printed, and beams made with them."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

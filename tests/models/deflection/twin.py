@@ -1,7 +1,5 @@
 """The slow obvious twin: the two sub-beams as they are written, by collocation (scipy's solve_bvp)."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What holds for every effect; a plug-in that is installed is tested with the others."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -22,7 +20,6 @@ from needleplan.models.effects import (
     effect_named,
     known_effects,
     with_effect,
-    without_effect,
 )
 from needleplan.signals import Motion, lspb
 
@@ -113,7 +110,6 @@ def test_a_model_file_keeps_it(effect: Effect) -> None:
 def test_what_is_of_the_sensor_is_not_in_the_plant(effect: Effect) -> None:
     model = with_effect(base(effect), AddedEffect(effect.name, values_of(effect)))
     assert (model.plant is base(effect)) == (effect.enters is Enters.SENSOR)
-    assert without_effect(model, effect.name) is base(effect)
 
 
 def test_a_model_with_two_effects_adds_both() -> None:

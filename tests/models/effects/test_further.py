@@ -1,7 +1,5 @@
 """The further effects of the axial force beside computations of their own."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Tissue that moves with the needle, held against its rates integrated by a slow twin and against a closed form."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

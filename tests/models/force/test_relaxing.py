@@ -1,7 +1,5 @@
 """The relaxing force beside a slow twin: the equations by SciPy, from event to event."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Normal force and beta against the integrals that they stand for."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from itertools import pairwise
 

@@ -1,7 +1,5 @@
 """The compiled bristles against loops over the samples."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from needleplan.models.friction import slid, slid_along

@@ -1,7 +1,5 @@
 """Contacts that close their small loops, held against elements that are moved one by one."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.special import gammaincinv

@@ -1,7 +1,5 @@
 """The distributed model, against what it must become, and the lumped ones against it."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

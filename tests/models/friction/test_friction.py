@@ -1,7 +1,5 @@
 """The members of the family, against quadrature, a stiff solver, and each other."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 

@@ -1,7 +1,5 @@
 """The bicycle model whose curvature changes with the depth."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

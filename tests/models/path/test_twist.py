@@ -1,7 +1,5 @@
 """The twisted shaft against closed forms, and against a discretised shaft that is solved by bounded least squares."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -12,6 +10,7 @@ from scipy.optimize import lsq_linear
 from needleplan.models import Torsion
 from needleplan.models.path import TwistedShaft
 from needleplan.signals import Array
+from tests.models.path.test_bicycle import tips_of
 
 GJ, TAU, LENGTH = 1.5e4, 0.05, 200.0
 TORSION = Torsion(GJ, TAU)
@@ -86,7 +85,7 @@ def test_the_tip_moves_as_play_does_at_a_fixed_depth() -> None:
     shaft = TwistedShaft(TORSION, LENGTH, base[0])
     shaft.step(float(base[0]), 80.0)
     tips = [shaft.step(float(each), 80.0) for each in base]
-    np.testing.assert_allclose(tips, TORSION.tip_angle_rad(base, 120.0, 80.0), atol=1e-12)
+    np.testing.assert_allclose(tips, tips_of(TORSION, base), atol=1e-12)
     assert np.ptp(tips) > 0.02
 
 

@@ -1,7 +1,5 @@
 """A small finite-element model: a half-space as an axisymmetric body, pushed at a point of its axis."""
 
-from __future__ import annotations
-
 import numpy as np
 from scipy import sparse
 from scipy.optimize import brentq

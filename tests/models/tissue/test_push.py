@@ -1,7 +1,5 @@
 """The displaced target against the equations of elasticity, quadrature and limits."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

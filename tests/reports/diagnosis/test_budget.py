@@ -1,7 +1,5 @@
 """The gap of the given model is said first, and everything that closes a part of it is a finding."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from itertools import pairwise

@@ -1,7 +1,5 @@
 """What follows from a model of a tip's path for planner and robot."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The draft of an effect: its words, its table or wave, and the axis of the gap agree."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path

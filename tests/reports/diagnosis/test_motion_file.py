@@ -1,7 +1,5 @@
 """The next motion never costs the verdict: deep trials have a file, and what a file cannot hold is said."""
 
-from __future__ import annotations
-
 import json
 import math
 from dataclasses import replace

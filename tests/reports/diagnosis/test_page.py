@@ -1,7 +1,5 @@
 """The report: a page that holds all it shows, whatever the data are called."""
 
-from __future__ import annotations
-
 import base64
 import json
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Figures with margins that were set and not measured: nothing is cut off. Measured here, as a layout would."""
 
-from __future__ import annotations
-
 import pytest
 from matplotlib.figure import Figure
 

@@ -1,7 +1,5 @@
 """Document, report, model and motions of a diagnosis."""
 
-from __future__ import annotations
-
 import json
 import re
 import tomllib

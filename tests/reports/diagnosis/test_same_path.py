@@ -1,7 +1,5 @@
 """The same insertions give the same path in identify curvature, identify deflection, --scenario and diagnose."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """One round of the closed loop: a layer is diagnosed, planned with, and the target is hit."""
 
-from __future__ import annotations
-
 import json
 import math
 from dataclasses import replace

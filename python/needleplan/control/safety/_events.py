@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Any
 
-from needleplan.artifacts import call_repr
+from needleplan.artifacts import CallRepr
 from needleplan.control.safety._causes import Cause
 from needleplan.control.safety._states import OperatingState
 
@@ -39,7 +39,7 @@ class SafetyEventName(StrEnum):
 
 
 @dataclass(frozen=True)
-class SafetyEvent:
+class SafetyEvent(CallRepr):
     """One event of the guard. Times (ns) are those of the monotonic clock."""
 
     name: SafetyEventName
@@ -57,8 +57,6 @@ class SafetyEvent:
 
     values: tuple[tuple[str, float], ...] = field(default=())
     """Names and values of the arguments of a motion command."""
-
-    __repr__ = call_repr
 
     def entry(self) -> dict[str, Any]:
         """Return the event as a message for a recording channel of the kind `recording.EVENT`."""

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field, replace
 from typing import Generic, TypeVar
 
 from needleplan import _ppvi
-from needleplan.artifacts import call_repr
+from needleplan.artifacts import CallRepr
 from needleplan.control.safety._causes import Cause
 from needleplan.control.safety._limits import SafetyLimits
 from needleplan.devices import ForceSample, Health, PoseSample, Sample, Source, StageSample, Stamp
@@ -130,7 +130,7 @@ class LoopStatus:
 
 
 @dataclass(frozen=True)
-class Inputs:
+class Inputs(CallRepr):
     """Status of the three devices, and the tip that the loop estimates from the poses.
 
     `tip_mm` is the tip in the plane of the plan (None if unknown), `out_of_plane_mm` the distance of the tip from this
@@ -152,8 +152,6 @@ class Inputs:
     """Depth of the stage when the last usable pose differed from the one before (mm)."""
     _moved_ns: int | None = None
     """Time (ns) at which the stage had moved since then; None if it has not."""
-
-    __repr__ = call_repr
 
     def then(self, sample: Sample, tip: tuple[tuple[float, float] | None, float] | None) -> Inputs:
         """Return the inputs after a sample.

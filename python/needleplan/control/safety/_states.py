@@ -30,7 +30,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 from needleplan import _ppvi
-from needleplan.artifacts import call_repr
+from needleplan.artifacts import CallRepr
 from needleplan.control.safety._causes import Cause, Owner, bits_of, causes_of
 from needleplan.devices.supervision import GuardNumbers
 
@@ -110,7 +110,7 @@ class GuardAction(StrEnum):
 
 
 @dataclass(frozen=True)
-class InputReport:
+class InputReport(CallRepr):
     """The event of a validation of all inputs: the present causes, and whether the stage moves (`busy`).
 
     `retracting` tells whether the stage still carries out a retraction. The value matters only while a retraction is in
@@ -123,11 +123,9 @@ class InputReport:
     retracting: bool = False
     resting: bool = False
 
-    __repr__ = call_repr
-
 
 @dataclass(frozen=True)
-class SafetyState:
+class SafetyState(CallRepr):
     """State of the guard: operating state, `present` causes, causes `latched` until RESET, and the owners.
 
     `is_homed` tells whether the zero of the stage is known, `is_busy` whether the stage moves.
@@ -161,8 +159,6 @@ class SafetyState:
     waits: Owner | None = None
     """Owner of an ENABLE or RESUME that waits for the needle to rest."""
 
-    __repr__ = call_repr
-
     @property
     def person_paused(self) -> bool:
         """Whether a person has ordered the present pause, or a retraction during this pause."""
@@ -175,15 +171,13 @@ class SafetyState:
 
 
 @dataclass(frozen=True)
-class SafetyTransition:
+class SafetyTransition(CallRepr):
     """Next state, the actions to perform, and the causes. A `refused` order leaves the state unchanged."""
 
     state: SafetyState
     actions: tuple[GuardAction, ...] = ()
     causes: frozenset[Cause] = _NONE
     refused: bool = False
-
-    __repr__ = call_repr
 
 
 # Each value by its number in the guard of Rust

@@ -2,11 +2,10 @@
 
 from needleplan.devices.ati._configuration import Configuration, fetch_configuration, parse_configuration
 from needleplan.devices.ati._sensor import ForceLimits, NetFt
-from needleplan.devices.ati._simulator import BoxFaults, BoxLink, BoxSettings, NetFtBox, NetFtServer
+from needleplan.devices.ati._simulator import BoxFaults, BoxSettings, NetFtBox, NetFtServer
 
 __all__ = [
     "BoxFaults",
-    "BoxLink",
     "BoxSettings",
     "Configuration",
     "ForceLimits",

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from xml.etree import ElementTree
 
-from needleplan.artifacts import call_repr
+from needleplan.artifacts import CallRepr
 from needleplan.errors import ConfigurationError, DeviceFault, Mistake
 
 __all__ = ["FORCE_UNITS", "TORQUE_UNITS", "Configuration", "fetch_configuration", "parse_configuration"]
@@ -36,7 +36,7 @@ _LONGEST = 1_000_000  # bytes of the configuration page that are read at most
 
 
 @dataclass(frozen=True)
-class Configuration:
+class Configuration(CallRepr):
     """Values of the page `netftapi2.xml` of the box: the factors and units that convert counts, and its identity."""
 
     counts_per_force: float
@@ -51,8 +51,6 @@ class Configuration:
 
     bias: tuple[int, ...] | None = None
     """Bias of the six gages in counts, which changes with every bias command; None if the box does not report it."""
-
-    __repr__ = call_repr
 
     @property
     def newton_per_count(self) -> float:

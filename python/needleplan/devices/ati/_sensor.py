@@ -14,7 +14,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from statistics import fmean, pstdev
 
-from needleplan.artifacts import call_repr
+from needleplan.artifacts import CallRepr
 from needleplan.devices._base import ForceSample, ForceSensor, Health, Stamp
 from needleplan.devices._clock import Clock, Deadline, SystemClock
 from needleplan.devices._links import Link, UdpLink
@@ -42,7 +42,7 @@ _Three = tuple[float, float, float]
 
 
 @dataclass(frozen=True)
-class ForceLimits:
+class ForceLimits(CallRepr):
     """Limits above which a sample is SUSPECT, a bias is refused, or the sensor raises DeviceFault.
 
     The defaults suit a needle robot: a needle does not withstand 50 N, and a puncture does not change the force by 10 N
@@ -61,8 +61,6 @@ class ForceLimits:
     steady_n: float = 0.1  # standard deviation of a force above which a bias is refused
     unloaded_n: float = 0.5  # force on a biased sensor above which a further bias is refused (needle under load)
     poll_s: float = 0.5  # time between two readings of the configuration page, which tell a foreign bias
-
-    __repr__ = call_repr
 
 
 @dataclass

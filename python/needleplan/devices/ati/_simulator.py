@@ -11,20 +11,17 @@ import math
 import socket
 import threading
 import time
-from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 
-from needleplan.artifacts import call_repr
+from needleplan.artifacts import CallRepr
 from needleplan.devices._base import Closing
-from needleplan.devices._clock import VirtualClock
-from needleplan.devices._links import Link
 from needleplan.devices.ati._configuration import FORCE_UNITS, TORQUE_UNITS
 from needleplan.devices.ati.rdt import RdtCommand, RdtRecord, decode_request, encode_records
-from needleplan.errors import LinkClosed, ProtocolError
+from needleplan.errors import ProtocolError
 
-__all__ = ["BoxFaults", "BoxLink", "BoxSettings", "NetFtBox", "NetFtServer", "Peer"]
+__all__ = ["BoxFaults", "BoxSettings", "NetFtBox", "NetFtServer", "Peer"]
 
 Peer = tuple[str, int]
 _Wrench = Callable[[float], tuple[float, float, float, float, float, float]]
@@ -33,7 +30,7 @@ _WRAP = 1 << 32
 
 
 @dataclass
-class BoxSettings:
+class BoxSettings(CallRepr):
     """Active configuration of the simulated box."""
 
     counts_per_force: float = 1_000_000
@@ -43,8 +40,6 @@ class BoxSettings:
     product: str = "Ethernet 6-Axis F/T Sensor"
     divisor: int = 35
     """The box sends 7000 / `divisor` records per second."""
-
-    __repr__ = call_repr
 
     def xml(self, bias: tuple[int, ...] = ()) -> bytes:
         """Return the content of the page `netftapi2.xml`, with the bias of the box if given."""
@@ -62,7 +57,7 @@ class BoxSettings:
 
 
 @dataclass
-class BoxFaults:
+class BoxFaults(CallRepr):
     """Faults that the simulated box shows from now on."""
 
     silent: bool = False
@@ -88,8 +83,6 @@ class BoxFaults:
 
     instead: list[bytes] = field(default_factory=list)
     """Datagrams that are sent before the next record."""
-
-    __repr__ = call_repr
 
 
 class NetFtBox:
@@ -268,44 +261,3 @@ def _pages(box: NetFtBox) -> type[BaseHTTPRequestHandler]:
 
 _HERE = ("in this process", 0)
 _NANO = 1_000_000_000
-
-
-class BoxLink(Link):
-    """Connects a client to `box` within one process; while `receive` advances `clock`, the box measures."""
-
-    box: NetFtBox
-
-    def __init__(self, box: NetFtBox, clock: VirtualClock) -> None:
-        self.box, self._clock = box, clock
-        self._due_ns = clock.now_ns()
-        self._waiting: deque[bytes] = deque()
-        self._closed = False
-
-    def send(self, data: bytes) -> None:
-        """Send a request to the box. Raises LinkClosed after `close`."""
-        if self._closed:
-            raise LinkClosed("the link to the box is closed")
-        self.box.request(data, _HERE)
-
-    def receive(self, timeout_s: float) -> bytes:
-        """Advance the clock, and return the next datagram from the box; b"" after `timeout_s`.
-
-        Raises LinkClosed after `close`.
-        """
-        if self._closed:
-            raise LinkClosed("the link to the box is closed")
-        end_ns = self._clock.now_ns() + round(timeout_s * _NANO)
-        while not self._waiting and self._due_ns <= end_ns:
-            self._clock.advance((self._due_ns - self._clock.now_ns()) / _NANO)
-            datagrams = self.box.step(self._due_ns / _NANO)
-            # If another client has requested the stream, its datagrams do not arrive at this link.
-            self._waiting.extend(datagrams if self.box.client == _HERE else ())
-            self._due_ns += round(self.box.settings.divisor / _MEASUREMENTS_PER_S * _NANO)
-        if self._waiting:
-            return self._waiting.popleft()
-        self._clock.advance((end_ns - self._clock.now_ns()) / _NANO)
-        return b""
-
-    def close(self) -> None:
-        """Close the link."""
-        self._closed = True

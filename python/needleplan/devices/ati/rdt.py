@@ -13,7 +13,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from enum import Enum, IntEnum, auto
 
-from needleplan.artifacts import call_repr
+from needleplan.artifacts import CallRepr
 from needleplan.errors import ProtocolError
 
 __all__ = [
@@ -203,7 +203,7 @@ class RdtArrival:
 
 
 @dataclass
-class StreamWatch:
+class StreamWatch(CallRepr):
     """Validates the two sequence numbers of the records of one stream; both wrap at 2^32.
 
     `rdt_sequence` counts the records since the start request, and shows whether records are lost, repeated or late.
@@ -216,8 +216,6 @@ class StreamWatch:
     _frozen: int = 0
     _measured: int = 0
     _missing: dict[int, None] = field(default_factory=dict)
-
-    __repr__ = call_repr
 
     def see(self, record: RdtRecord, now_ns: int) -> RdtArrival:
         """Validate the next record, received at `now_ns`; update `counts`, and return the result."""

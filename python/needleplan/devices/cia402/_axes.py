@@ -7,7 +7,7 @@ from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from needleplan.artifacts import call_repr
+from needleplan.artifacts import CallRepr
 from needleplan.devices._base import StageSample, Stamp
 from needleplan.devices.cia402._drive import CanBus
 from needleplan.devices.cia402.objects import Bit, Cia402State, state_of
@@ -17,7 +17,7 @@ __all__ = ["Cia402Axis", "DriveTiming", "Rounds"]
 
 
 @dataclass(frozen=True)
-class DriveTiming:
+class DriveTiming(CallRepr):
     """Times of the communication with the drives, in s.
 
     - `sync_s`: interval between two SYNC messages, which request the positions.
@@ -36,8 +36,6 @@ class DriveTiming:
     answer_s: float = 0.3
     change_s: float = 0.5
     slack_s: float = 0.3
-
-    __repr__ = call_repr
 
 
 _STATUS = struct.Struct("<Hi")

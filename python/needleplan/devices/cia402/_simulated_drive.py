@@ -11,7 +11,7 @@ import threading
 from dataclasses import dataclass, field
 from typing import Any
 
-from needleplan.artifacts import call_repr
+from needleplan.artifacts import CallRepr
 from needleplan.devices._base import Closing
 from needleplan.devices._clock import Clock, SystemClock
 from needleplan.devices.cia402._drive import CanBus, library
@@ -51,7 +51,7 @@ _PRE_OPERATIONAL = 128
 
 
 @dataclass
-class Cia402DriveFaults:
+class Cia402DriveFaults(CallRepr):
     """Faults that the simulated drive shows from now on."""
 
     mute: bool = False
@@ -80,8 +80,6 @@ class Cia402DriveFaults:
 
     torque_off: bool = False
     """Whether the safe torque off (STO) is active, so that the drive cannot be enabled."""
-
-    __repr__ = call_repr
 
 
 _ENTRIES = {(entry.index, entry.subindex): entry for entry in Cia402Entry}

@@ -1,7 +1,8 @@
 """OpenIGTLink: a tracker behind a PLUS server, a server for 3D Slicer, and a simulated PLUS server."""
 
+from needleplan.devices.igtl._needle_sensors import NeedleSensor, open_fibre, open_images
 from needleplan.devices.igtl._server import MessageServer, Shown, SlicerServer
-from needleplan.devices.igtl._simulator import PlusDevice, PlusFaults, PlusLink, PlusServer, TrackedTool
+from needleplan.devices.igtl._simulator import PlusDevice, PlusFaults, PlusServer, TrackedTool
 from needleplan.devices.igtl._tracker import IGTL_PORT, IgtlTracker, PoseKind
 from needleplan.devices.igtl.contents import StatusCode
 from needleplan.devices.igtl.messages import crc64
@@ -12,9 +13,9 @@ __all__ = [
     "IgtlPoseLimits",
     "IgtlTracker",
     "MessageServer",
+    "NeedleSensor",
     "PlusDevice",
     "PlusFaults",
-    "PlusLink",
     "PlusServer",
     "PoseKind",
     "Shown",
@@ -22,4 +23,6 @@ __all__ = [
     "StatusCode",
     "TrackedTool",
     "crc64",
+    "open_fibre",
+    "open_images",
 ]

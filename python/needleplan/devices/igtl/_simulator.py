@@ -11,14 +11,11 @@ import select
 import socket
 import threading
 import time
-from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
-from needleplan.artifacts import call_repr
+from needleplan.artifacts import CallRepr
 from needleplan.devices._base import Closing
-from needleplan.devices._clock import VirtualClock
-from needleplan.devices._links import Link
 from needleplan.devices.igtl._tracker import PoseKind
 from needleplan.devices.igtl.contents import decode_start, encode_reply
 from needleplan.devices.igtl.messages import IgtlMessage, MessageReader, encode_message, stamp_of
@@ -31,9 +28,8 @@ from needleplan.devices.igtl.poses import (
     encode_tdata,
     encode_transform,
 )
-from needleplan.errors import LinkClosed
 
-__all__ = ["PlusDevice", "PlusFaults", "PlusLink", "PlusServer", "TrackedTool"]
+__all__ = ["PlusDevice", "PlusFaults", "PlusServer", "TrackedTool"]
 
 _NANO = 1_000_000_000
 _LONGEST = 65_536  # bytes read from a client at once, at most
@@ -54,7 +50,7 @@ class TrackedTool:
 
 
 @dataclass
-class PlusFaults:
+class PlusFaults(CallRepr):
     """Faults that the simulated server shows from now on."""
 
     damage: int = 0
@@ -90,11 +86,9 @@ class PlusFaults:
     timeless: bool = False
     """Whether messages are sent without a time."""
 
-    __repr__ = call_repr
-
 
 @dataclass
-class PlusDevice:
+class PlusDevice(CallRepr):
     """The simulated PLUS server. If `on_request`, it sends poses only after a request; if `refuse`, it denies requests.
 
     Like PLUS, the server sends messages with header version 1 until it receives a message with a higher version. Then
@@ -116,8 +110,6 @@ class PlusDevice:
     sent_version: int = 1
     _reader: MessageReader = field(default_factory=MessageReader)
     _last_s: float = 0.0
-
-    __repr__ = call_repr
 
     def frame(self, time_s: float) -> bytes:
         """Return the bytes of the frame at `time_s` (s since the start); b"" if no frame is sent."""
@@ -194,70 +186,6 @@ class PlusDevice:
 def _metadata_of(tool: TrackedTool) -> dict[str, str]:
     long = {"IGTL_DEVICE_NAME": tool.name} if len(tool.name) > 20 else {}
     return {"TransformStatus": tool.status, **long}
-
-
-class PlusLink(Link):
-    """Connects a client to `device` within one process; frames are queued for the client as the clock advances."""
-
-    device: PlusDevice
-
-    def __init__(self, device: PlusDevice, clock: VirtualClock) -> None:
-        self.device, self._clock = device, clock
-        self._began_ns = clock.now_ns()
-        self._frames = 0
-        self._coming: deque[bytes] = deque()
-        self._closed = False
-
-    def send(self, data: bytes) -> None:
-        """Send bytes to the device. Raises LinkClosed after `close` or `unplug`."""
-        self._check()
-        if reply := self.device.answer(data):
-            self._coming.append(reply)
-
-    def receive(self, timeout_s: float) -> bytes:
-        """Return all bytes that have arrived, or b"" after `timeout_s`.
-
-        If no bytes have arrived, the clock advances until bytes arrive, at most by `timeout_s`. Raises LinkClosed after
-        `close` or `unplug`.
-        """
-        self._check()
-        end_ns = self._clock.now_ns() + round(timeout_s * _NANO)
-        while True:
-            self._catch_up()
-            if self._coming:
-                data = b"".join(self._coming)
-                self._coming.clear()
-                return data
-            due_ns = min(self._due_ns, end_ns)
-            if self._clock.now_ns() >= end_ns:
-                return b""
-            self._clock.advance((due_ns - self._clock.now_ns()) / _NANO)
-
-    def say(self, data: bytes) -> None:
-        """Queue bytes for the client that are not part of a frame or reply."""
-        self._coming.append(data)
-
-    def unplug(self) -> None:
-        """Simulate an unplugged cable: further calls of `send` and `receive` raise LinkClosed."""
-        self._closed = True
-
-    def close(self) -> None:
-        """Close the link."""
-        self._closed = True
-
-    @property
-    def _due_ns(self) -> int:
-        return self._began_ns + round((self._frames + 1) / self.device.rate_hz * _NANO)
-
-    def _catch_up(self) -> None:
-        while self._due_ns <= self._clock.now_ns():
-            self._frames += 1
-            if data := self.device.frame(self._frames / self.device.rate_hz):
-                self._coming.append(data)
-
-    def _check(self) -> None:
-        if self._closed:
-            raise LinkClosed("the link to the tracker is closed")
 
 
 class PlusServer(Closing):

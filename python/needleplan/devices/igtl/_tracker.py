@@ -27,7 +27,7 @@ from needleplan.devices.igtl.poses import (
 )
 from needleplan.errors import AddressError, ConfigurationError, DeviceFault, LinkClosed, Mistake, ProtocolError
 
-__all__ = ["IGTL_PORT", "IgtlCounts", "IgtlTracker", "PoseKind"]
+__all__ = ["IGTL_PORT", "IgtlCounts", "IgtlTracker", "PoseKind", "named_address", "names_of", "open_named"]
 
 IGTL_PORT = 18944
 
@@ -118,23 +118,14 @@ class IgtlTracker(Tracker):
         Raises AddressError if the address is wrong, ConfigurationError if the server does not send this device,
         DeviceFault if the server cannot be reached.
         """
-        parsed = Address.parse(address)
-        if parsed.scheme != "igtl":
-            raise AddressError(Mistake("address", address, "must begin with igtl://"))
-        parsed.only(("message", "ask", "interval_ms", "coordinates", "rate_hz", "crc", "timeout_s"))
-        name = unquote(parsed.path.removeprefix("/"))
-        if not name or "/" in name:
-            rule = "must name the tracked device, as in igtl://host/NeedleToTracker"
-            raise AddressError(Mistake("address", address, rule))
+        parsed, name, needs_crc = named_address(address, ("message", "ask", "interval_ms", "coordinates", "rate_hz"))
         kind = parsed.option("message", PoseKind, PoseKind.TRANSFORM)
         ask = parsed.option("ask", {"no": False, "yes": True}.__getitem__, False)
         interval_ms = parsed.option("interval_ms", int, 0)
         rate_hz = parsed.option("rate_hz", float, 0.0)
         if not 0 <= rate_hz < 1e6:
             raise AddressError(Mistake("rate_hz", str(rate_hz), "must be at least 0 and less than a million"), address)
-        needs_crc = parsed.option("crc", {"required": True, "absent": False}.__getitem__, True)
-        rest = {key: value for key, value in parsed.options.items() if key == "timeout_s"}
-        link = open_link(Address("tcp", parsed.host, parsed.port, "", rest), IGTL_PORT)
+        link = open_named(parsed)
         coordinates = parsed.options.get("coordinates", "")
         return cls(
             link, name, kind=kind, ask=ask, interval_ms=interval_ms, coordinates=coordinates, rate_hz=rate_hz,
@@ -220,7 +211,7 @@ class IgtlTracker(Tracker):
         pose, status = None, ""
         if self.kind.holds_tools and message.kind == self.kind.upper():
             pose, status = self._among(message)
-        elif message.kind == self.kind.upper() and self.name in _names(message):
+        elif message.kind == self.kind.upper() and self.name in names_of(message):
             pose = _WHOLE[self.kind](message.content)
             status = message.metadata.get("TransformStatus", "")
         else:
@@ -287,7 +278,29 @@ class IgtlTracker(Tracker):
         self._link.close()
 
 
-def _names(message: IgtlMessage) -> tuple[str, ...]:
+def named_address(address: str, known: Sequence[str] = ()) -> tuple[Address, str, bool]:
+    """Return the parts of `igtl://host[:18944]/NAME`, the name, and whether the option `crc` requires checksums.
+
+    `known` are further options. Raises AddressError.
+    """
+    parsed = Address.parse(address)
+    if parsed.scheme != "igtl":
+        raise AddressError(Mistake("address", address, "must begin with igtl://"))
+    parsed.only((*known, "crc", "timeout_s"))
+    name = unquote(parsed.path.removeprefix("/"))
+    if not name or "/" in name:
+        rule = "must name the device of the messages, as in igtl://host/NeedleToTracker"
+        raise AddressError(Mistake("address", address, rule))
+    return parsed, name, parsed.option("crc", {"required": True, "absent": False}.__getitem__, True)
+
+
+def open_named(parsed: Address) -> Link:
+    """Open the connection to the server at an address of `named_address`. Raises DeviceFault."""
+    rest = {key: value for key, value in parsed.options.items() if key == "timeout_s"}
+    return open_link(Address("tcp", parsed.host, parsed.port, "", rest), IGTL_PORT)
+
+
+def names_of(message: IgtlMessage) -> tuple[str, ...]:
     """Return the name of a device in the header and in the metadata, where PLUS stores names above 20 bytes."""
     return message.device, message.metadata.get("IGTL_DEVICE_NAME", message.device)
 

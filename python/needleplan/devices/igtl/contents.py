@@ -1,4 +1,4 @@
-"""Encoding of message bodies without poses: STATUS, STRING, POINT, POLYDATA, SENSOR, requests and replies."""
+"""Encoding of message bodies without poses: STATUS, STRING, POINT, POLYDATA, SENSOR, NDARRAY, requests and replies."""
 
 from __future__ import annotations
 
@@ -6,8 +6,12 @@ import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
+from math import prod
 
-from needleplan.artifacts import call_repr
+import numpy as np
+import numpy.typing as npt
+
+from needleplan.artifacts import CallRepr
 from needleplan.devices.igtl.messages import padded, text_of
 from needleplan.errors import InputError, Mistake, ProtocolError
 
@@ -17,13 +21,11 @@ __all__ = [
     "Sensor",
     "StatusCode",
     "Unit",
+    "decode_array",
     "decode_points",
-    "decode_polyline",
     "decode_reply",
-    "decode_sensor",
     "decode_start",
-    "decode_status",
-    "decode_string",
+    "encode_array",
     "encode_points",
     "encode_polyline",
     "encode_reply",
@@ -39,6 +41,11 @@ _POINT = struct.Struct(">64s32s4B4f20s")
 _SENSOR = struct.Struct(">BBQ")
 _POLYDATA = struct.Struct(">10I")
 _START = struct.Struct(">I32s")
+_NUMBERS = {2: "i1", 3: "u1", 4: ">i2", 5: ">u2", 6: ">i4", 7: ">u4", 10: ">f4", 11: ">f8"}
+"""Types of the numbers of NDARRAY (source: `igtl_ndarray.h` of the OpenIGTLink library), without complex ones."""
+
+_MOST_DIMENSIONS = 4  # largest number of dimensions of an NDARRAY; numpy has a limit of its own
+
 _ASCII, _UTF8, _LATIN = 3, 106, 4
 _ENCODINGS = {_ASCII: "ascii", _UTF8: "utf-8", _LATIN: "latin-1"}
 
@@ -92,7 +99,7 @@ class IgtlStatus:
 
 
 @dataclass(frozen=True)
-class Point:
+class Point(CallRepr):
     """A named point in mm; `colour` holds red, green, blue and opacity, each from 0 to 255."""
 
     name: str
@@ -102,31 +109,18 @@ class Point:
     diameter_mm: float = 0.0
     owner: str = ""
 
-    __repr__ = call_repr
-
 
 @dataclass(frozen=True)
-class Sensor:
+class Sensor(CallRepr):
     """Up to 255 readings in the same unit; `unit` may also be a 64-bit number that is not in `Unit`."""
 
     values: tuple[float, ...]
     unit: int = Unit.NONE
 
-    __repr__ = call_repr
-
 
 def encode_status(status: IgtlStatus) -> bytes:
     """Return the body of STATUS. Raises InputError if the name is longer than 20 bytes."""
     return _STATUS.pack(status.code, status.subcode, padded(status.name, 20, "status name")) + status.text.encode()
-
-
-def decode_status(content: bytes) -> IgtlStatus:
-    """Return the status in the body of STATUS; unknown codes become UNKNOWN_ERROR. Raises ProtocolError."""
-    if len(content) < _STATUS.size:
-        raise ProtocolError(f"OpenIGTLink: STATUS of {len(content)} bytes")
-    number, subcode, name = _STATUS.unpack_from(content)
-    code = StatusCode(number) if number in _CODES else StatusCode.UNKNOWN_ERROR
-    return IgtlStatus(code, text_of(name), text_of(content[_STATUS.size :]), subcode)
 
 
 def encode_string(text: str) -> bytes:
@@ -135,16 +129,6 @@ def encode_string(text: str) -> bytes:
     if len(data) > 0xFFFF:
         raise InputError(Mistake("text", text, "must have at most 65535 bytes"))
     return _STRING.pack(_ASCII if data.isascii() else _UTF8, len(data)) + data
-
-
-def decode_string(content: bytes) -> str:
-    """Return the text in the body of STRING; undecodable bytes become U+FFFD. Raises ProtocolError."""
-    if len(content) < _STRING.size:
-        raise ProtocolError(f"OpenIGTLink: STRING of {len(content)} bytes")
-    encoding, length = _STRING.unpack_from(content)
-    if length != len(content) - _STRING.size or encoding not in _ENCODINGS:
-        raise ProtocolError(f"OpenIGTLink: STRING has a wrong length ({length}) or an unknown encoding ({encoding})")
-    return content[_STRING.size :].decode(_ENCODINGS[encoding], "replace")
 
 
 def encode_points(points: Sequence[Point]) -> bytes:
@@ -177,26 +161,6 @@ def encode_polyline(points_mm: Sequence[tuple[float, float, float]]) -> bytes:
     return head + struct.pack(f">{len(flat)}f{len(lines)}I", *flat, *lines)
 
 
-def decode_polyline(content: bytes) -> tuple[tuple[float, float, float], ...]:
-    """Return the points of the line in the body of POLYDATA; () without a line.
-
-    Raises ProtocolError for other shapes.
-    """
-    if len(content) < _POLYDATA.size:
-        raise ProtocolError(f"OpenIGTLink: POLYDATA of {len(content)} bytes")
-    count, *others = _POLYDATA.unpack_from(content)
-    if not any((count, *others)) and len(content) == _POLYDATA.size:
-        return ()
-    if others != [0, 0, 1, 4 * count + 4, 0, 0, 0, 0, 0] or len(content) != _POLYDATA.size + 16 * count + 4:
-        raise ProtocolError("OpenIGTLink: POLYDATA is not a single line")
-    numbers = struct.unpack_from(f">{3 * count}f{count + 1}I", content, _POLYDATA.size)
-    points = [(numbers[at], numbers[at + 1], numbers[at + 2]) for at in range(0, 3 * count, 3)]
-    length, *order = numbers[3 * count :]
-    if length != count or any(index >= count for index in order):
-        raise ProtocolError("OpenIGTLink: the line of POLYDATA refers to missing points")
-    return tuple(points[index] for index in order)
-
-
 def encode_sensor(sensor: Sensor) -> bytes:
     """Return the body of SENSOR. Raises InputError for more than 255 readings."""
     if len(sensor.values) > 0xFF:
@@ -204,12 +168,22 @@ def encode_sensor(sensor: Sensor) -> bytes:
     return _SENSOR.pack(len(sensor.values), 0, sensor.unit) + struct.pack(f">{len(sensor.values)}d", *sensor.values)
 
 
-def decode_sensor(content: bytes) -> Sensor:
-    """Return the readings in the body of SENSOR. Raises ProtocolError."""
-    if len(content) < _SENSOR.size or len(content) != _SENSOR.size + 8 * content[0]:
-        raise ProtocolError(f"OpenIGTLink: SENSOR of {len(content)} bytes")
-    count, _, unit = _SENSOR.unpack_from(content)
-    return Sensor(struct.unpack_from(f">{count}d", content, _SENSOR.size), unit)
+def encode_array(array: npt.NDArray[np.float64]) -> bytes:
+    """Return the body of NDARRAY, with numbers of 8 bytes."""
+    return struct.pack(f">BB{array.ndim}H", 11, array.ndim, *array.shape) + array.astype(">f8").tobytes()
+
+
+def decode_array(content: bytes) -> npt.NDArray[np.float64]:
+    """Return the array in the body of NDARRAY, in its shape. Raises ProtocolError; complex numbers are none of ours."""
+    size = content[1] if len(content) > 1 else 0
+    begin = 2 + 2 * size
+    if not 1 <= size <= _MOST_DIMENSIONS or len(content) < begin or content[0] not in _NUMBERS:
+        raise ProtocolError(f"OpenIGTLink: NDARRAY of {len(content)} bytes, or of another type of numbers")
+    shape = struct.unpack_from(f">{size}H", content, 2)
+    kind = np.dtype(_NUMBERS[content[0]])
+    if len(content) != begin + kind.itemsize * prod(shape):
+        raise ProtocolError(f"OpenIGTLink: NDARRAY of {len(content)} bytes for the shape {shape}")
+    return np.frombuffer(content, kind, offset=begin).reshape(shape).astype(np.float64)
 
 
 def encode_start(interval_ms: int, coordinates: str = "") -> bytes:

@@ -15,7 +15,7 @@ from operator import xor
 import numpy as np
 import numpy.typing as npt
 
-from needleplan.artifacts import call_repr
+from needleplan.artifacts import CallRepr
 from needleplan.errors import InputError, Mistake, ProtocolError
 
 __all__ = [
@@ -99,7 +99,7 @@ class Header:
 
 
 @dataclass(frozen=True)
-class IgtlMessage:
+class IgtlMessage(CallRepr):
     """One message; `content` is its body without extended header and metadata. Metadata need `version` 2."""
 
     kind: str
@@ -109,8 +109,6 @@ class IgtlMessage:
     version: int = 1
     message_id: int = 0
     metadata: Mapping[str, str] = field(default_factory=dict)
-
-    __repr__ = call_repr
 
     @property
     def time_s(self) -> float | None:

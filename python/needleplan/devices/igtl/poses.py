@@ -13,12 +13,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 
-from needleplan.artifacts import call_repr
+from needleplan.artifacts import CallRepr
 from needleplan.devices._base import PoseSample, PoseValidator, Stamp
 from needleplan.devices.igtl.messages import padded, text_of
 from needleplan.errors import DeviceFault, ProtocolError
 
 __all__ = [
+    "FrameTimes",
     "IgtlPose",
     "IgtlPoseLimits",
     "IgtlPoseValidator",
@@ -41,7 +42,7 @@ _QTDATA = struct.Struct(">20sBx7f")
 
 
 @dataclass(frozen=True)
-class IgtlPose:
+class IgtlPose(CallRepr):
     """A pose with position (mm) and unit quaternion (w, x, y, z).
 
     `distortion` measures how much the received matrix or quaternion deviates from a rotation: 0 for an exact rotation,
@@ -53,8 +54,6 @@ class IgtlPose:
     quaternion: tuple[float, float, float, float] = (1.0, 0.0, 0.0, 0.0)
     distortion: float = 0.0
     oriented: bool = True
-
-    __repr__ = call_repr
 
 
 class ToolKind(IntEnum):
@@ -71,14 +70,12 @@ _KINDS = frozenset(map(int, ToolKind))
 
 
 @dataclass(frozen=True)
-class IgtlTool:
+class IgtlTool(CallRepr):
     """One tool in TDATA or QTDATA."""
 
     name: str
     pose: IgtlPose
     kind: ToolKind = ToolKind.SIX_DOF
-
-    __repr__ = call_repr
 
 
 def encode_transform(pose: IgtlPose) -> bytes:
@@ -210,6 +207,44 @@ class IgtlPoseLimits:
     distortion: float = 0.01  # `IgtlPose.distortion` (deviation from a rotation) above which a pose is SUSPECT
 
 
+class FrameTimes:
+    """Validates the times of the frames of one device; `rate_hz` is their rate, 0 if unknown."""
+
+    def __init__(self, limits: IgtlPoseLimits, rate_hz: float = 0.0, noun: str = "tracker") -> None:
+        self._limits, self._rate_hz, self._noun = limits, rate_hz, noun
+        self._timestamp = 0
+        self._number: int | None = None
+        self._fastest_ns: int | None = None
+
+    def take(self, timestamp: int, now_ns: int) -> tuple[Stamp, tuple[str, ...]] | None:
+        """Return the stamp of a new frame and its notes, or None if the frame is repeated.
+
+        `timestamp` is in units of 2**-32 s, 0 if unknown. Raises DeviceFault if it goes back, also to 0.
+        """
+        if timestamp and timestamp == self._timestamp:
+            return None
+        if timestamp < self._timestamp:
+            back_s = (self._timestamp - timestamp) / (1 << 32)
+            raise DeviceFault(
+                f"{self._noun}: its time went back by {back_s:.3g} s: it was restarted, or its clock was changed"
+            )
+        lost = 0
+        if self._number is not None and self._rate_hz and timestamp:
+            lost = max(round((timestamp - self._timestamp) / (1 << 32) * self._rate_hz) - 1, 0)
+        self._number = 0 if self._number is None else self._number + 1 + lost
+        self._timestamp = timestamp
+        stamp = Stamp(now_ns, self._number, lost, timestamp / (1 << 32) if timestamp else None)
+        return stamp, self._notes(timestamp, now_ns)
+
+    def _notes(self, timestamp: int, now_ns: int) -> tuple[str, ...]:
+        if not timestamp:
+            return ("without a time: the sample may be outdated",)
+        took_ns = now_ns - (timestamp * _NANO >> 32)
+        self._fastest_ns = took_ns if self._fastest_ns is None else min(self._fastest_ns, took_ns)
+        late_s = (took_ns - self._fastest_ns) / _NANO
+        return (f"{late_s:.3g} s late",) if late_s > self._limits.late_s else ()
+
+
 class IgtlPoseValidator(PoseValidator):
     """Validates the poses of one tool; `rate_hz` is the frame rate of the tracker, 0 if unknown."""
 
@@ -220,8 +255,7 @@ class IgtlPoseValidator(PoseValidator):
     def __init__(self, limits: IgtlPoseLimits, rate_hz: float = 0.0) -> None:
         super().__init__()
         self.limits, self.rate_hz = limits, rate_hz
-        self._timestamp = 0
-        self._fastest_ns: int | None = None
+        self._times = FrameTimes(limits, rate_hz)
 
     def validate(self, pose: IgtlPose | None, timestamp: int, status: str, now_ns: int) -> PoseSample | None:
         """Return the sample of a new frame, or None if the frame is repeated.
@@ -229,33 +263,11 @@ class IgtlPoseValidator(PoseValidator):
         `pose` is None if the tool is not in the frame. `timestamp` is in units of 2**-32 s, 0 if unknown. `status` is
         the status of the tool that the server reports, or "". Raises DeviceFault if `timestamp` goes back, also to 0.
         """
-        if timestamp and timestamp == self._timestamp:
+        timed = self._times.take(timestamp, now_ns)
+        if timed is None:
             return None
-        if timestamp < self._timestamp:
-            back_s = (self._timestamp - timestamp) / (1 << 32)
-            raise DeviceFault(
-                f"tracker: its time went back by {back_s:.3g} s: it was restarted, or its clock was changed"
-            )
-        notes = self._notes(timestamp, now_ns)
-        self.last = self._sample(pose, status, self._stamp(timestamp, now_ns), notes)
-        self._timestamp = timestamp
+        self.last = self._sample(pose, status, *timed)
         return self.last
-
-    def _stamp(self, timestamp: int, now_ns: int) -> Stamp:
-        last = self.last
-        lost = 0
-        if last is not None and self.rate_hz and timestamp:
-            lost = max(round((timestamp - self._timestamp) / (1 << 32) * self.rate_hz) - 1, 0)
-        number = 0 if last is None else last.stamp.sequence + 1 + lost
-        return Stamp(now_ns, number, lost, timestamp / (1 << 32) if timestamp else None)
-
-    def _notes(self, timestamp: int, now_ns: int) -> tuple[str, ...]:
-        if not timestamp:
-            return ("without a time: the pose may be outdated",)
-        took_ns = now_ns - (timestamp * _NANO >> 32)
-        self._fastest_ns = took_ns if self._fastest_ns is None else min(self._fastest_ns, took_ns)
-        late_s = (took_ns - self._fastest_ns) / _NANO
-        return (f"{late_s:.3g} s late",) if late_s > self.limits.late_s else ()
 
     def _sample(self, pose: IgtlPose | None, status: str, stamp: Stamp, notes: tuple[str, ...]) -> PoseSample:
         if pose is None:

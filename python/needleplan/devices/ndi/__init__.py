@@ -1,7 +1,7 @@
 """NDI Aurora and Polaris trackers (combined API over a serial port or TCP), and a simulated Aurora."""
 
-from needleplan.devices.ndi._simulator import AuroraDevice, AuroraFaults, AuroraLink, SimulatedTool
+from needleplan.devices.ndi._simulator import AuroraDevice, AuroraFaults, SimulatedTool
 from needleplan.devices.ndi._tracker import NdiTracker
 from needleplan.devices.ndi.frames import NdiPoseLimits, crc16
 
-__all__ = ["AuroraDevice", "AuroraFaults", "AuroraLink", "NdiPoseLimits", "NdiTracker", "SimulatedTool", "crc16"]
+__all__ = ["AuroraDevice", "AuroraFaults", "NdiPoseLimits", "NdiTracker", "SimulatedTool", "crc16"]

@@ -7,18 +7,16 @@ pseudo-terminal. The poses of the coils are functions of time.
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
-from needleplan.artifacts import call_repr
-from needleplan.devices._clock import Clock, SystemClock, VirtualClock
-from needleplan.devices._links import Link
+from needleplan.artifacts import CallRepr
+from needleplan.devices._clock import Clock, SystemClock
 from needleplan.devices.ndi.commands import BAUD_CODES, decode_command, encode_text
 from needleplan.devices.ndi.frames import Frames, NdiVisibility, ToolFrame, encode_bx, encode_tx
-from needleplan.errors import LinkClosed, ProtocolError
+from needleplan.errors import ProtocolError
 
-__all__ = ["AuroraDevice", "AuroraFaults", "AuroraLink", "SimulatedTool"]
+__all__ = ["AuroraDevice", "AuroraFaults", "SimulatedTool"]
 
 _Pose = Callable[[float], tuple[tuple[float, float, float, float], tuple[float, float, float]]]
 _SPEEDS = {code: baud for baud, code in BAUD_CODES.items()}
@@ -26,7 +24,7 @@ _LONGEST_COMMAND = 1024  # bytes without a carriage return after which the devic
 
 
 @dataclass
-class SimulatedTool:
+class SimulatedTool(CallRepr):
     """A simulated coil in a port; `pose` returns quaternion (w, x, y, z) and position (mm) at a time in s."""
 
     serial: str
@@ -40,8 +38,6 @@ class SimulatedTool:
     initialised: bool = False
     enabled: bool = False
 
-    __repr__ = call_repr
-
     @property
     def port_status(self) -> int:
         """Port status word: the bits for tool in port, initialised and enabled, and `port_bits`."""
@@ -49,7 +45,7 @@ class SimulatedTool:
 
 
 @dataclass
-class AuroraFaults:
+class AuroraFaults(CallRepr):
     """Faults that the simulated device shows from now on."""
 
     damage: int = 0
@@ -79,11 +75,9 @@ class AuroraFaults:
     ignore_speed: bool = False
     """Whether the device acknowledges COMM without changing its speed."""
 
-    __repr__ = call_repr
-
 
 @dataclass
-class AuroraDevice:
+class AuroraDevice(CallRepr):
     """The simulated Aurora with its tools; `commands` lists the received commands.
 
     Frame numbers come from the function `count`, or from `clock` and `rate_hz` if `count` is None.
@@ -101,8 +95,6 @@ class AuroraDevice:
     _input: bytearray = field(default_factory=bytearray)
     _began_ns: int = 0
     _frame: int = 0
-
-    __repr__ = call_repr
 
     def answer(self, data: bytes) -> bytes:
         """Receive bytes, and return the replies to all commands that are now complete; b"" if there are none."""
@@ -244,51 +236,3 @@ class AuroraDevice:
 
 
 _NANO = 1_000_000_000
-
-
-class AuroraLink(Link):
-    """Connects a client to `device` within one process; a reply arrives after 1 ms plus `device.faults.delay_s`."""
-
-    device: AuroraDevice
-
-    def __init__(self, device: AuroraDevice, clock: VirtualClock) -> None:
-        self.device, self._clock = device, clock
-        self._coming: deque[tuple[int, bytes]] = deque()
-        self._closed = False
-
-    def send(self, data: bytes) -> None:
-        """Send bytes to the device. Raises LinkClosed after `close` or `unplug`."""
-        self._check()
-        self.say(self.device.answer(data))
-
-    def say(self, data: bytes) -> None:
-        """Queue bytes that the device sends to the client, also without a request."""
-        due_ns = self._clock.now_ns() + round((0.001 + self.device.faults.delay_s) * _NANO)
-        if data:
-            self._coming.append((due_ns, data))
-
-    def receive(self, timeout_s: float) -> bytes:
-        """Advance the clock, and return the next bytes from the device; b"" after `timeout_s`.
-
-        Raises LinkClosed after `close` or `unplug`.
-        """
-        self._check()
-        end_ns = self._clock.now_ns() + round(timeout_s * _NANO)
-        if self._coming and self._coming[0][0] <= end_ns:
-            due_ns, data = self._coming.popleft()
-            self._clock.advance((due_ns - self._clock.now_ns()) / _NANO)
-            return data
-        self._clock.advance((end_ns - self._clock.now_ns()) / _NANO)
-        return b""
-
-    def unplug(self) -> None:
-        """Simulate an unplugged cable: further calls of `send` and `receive` raise LinkClosed."""
-        self._closed = True
-
-    def close(self) -> None:
-        """Close the link."""
-        self._closed = True
-
-    def _check(self) -> None:
-        if self._closed:
-            raise LinkClosed("the link to the tracker is closed")

@@ -15,7 +15,7 @@ import struct
 from dataclasses import dataclass
 from enum import StrEnum
 
-from needleplan.artifacts import call_repr
+from needleplan.artifacts import CallRepr
 from needleplan.devices._base import PoseSample, PoseValidator, Stamp
 from needleplan.errors import DeviceFault, ProtocolError
 
@@ -77,7 +77,7 @@ class NdiVisibility(StrEnum):
 
 
 @dataclass(frozen=True)
-class ToolFrame:
+class ToolFrame(CallRepr):
     """One tool in one frame; quaternion (w, x, y, z), position and error are NaN unless `visibility` is VALID."""
 
     handle: int
@@ -88,17 +88,13 @@ class ToolFrame:
     port_status: int | None = None
     frame: int | None = None
 
-    __repr__ = call_repr
-
 
 @dataclass(frozen=True)
-class Frames:
+class Frames(CallRepr):
     """Content of one reply to TX or BX: the tools, and the system status word."""
 
     tools: tuple[ToolFrame, ...]
     system_status: int
-
-    __repr__ = call_repr
 
 
 def _bits_of(status: int, names: dict[int, str]) -> tuple[str, ...]:
@@ -242,7 +238,7 @@ _RATE_RATIO = 1.2  # ratio of the frame rate to `rate_hz` above which `rate_hz` 
 
 
 @dataclass(frozen=True)
-class NdiPoseLimits:
+class NdiPoseLimits(CallRepr):
     """Frame rate of the tracker, and limits above which a pose is SUSPECT or the tracker raises DeviceFault."""
 
     rate_hz: float = 40.0  # frame rate of the tracker, which converts frame numbers to times; it must be exact
@@ -254,8 +250,6 @@ class NdiPoseLimits:
     most_error_mm: float = 1.0  # fit error above which a pose is SUSPECT
     step_mm: float = 5.0  # change of the position from one frame to the next above which a pose is SUSPECT
     norm_tolerance: float = 0.01  # deviation of the quaternion's length from one above which a pose is SUSPECT
-
-    __repr__ = call_repr
 
 
 class NdiPoseValidator(PoseValidator):

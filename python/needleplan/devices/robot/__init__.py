@@ -10,10 +10,11 @@ from needleplan.devices.robot._machine import RobotMachine
 from needleplan.devices.robot._relay import RobotRelay
 from needleplan.devices.robot._simulator import RobotDriveFaults, RobotLink, RobotNetwork, RobotServer, SteadyDrive
 from needleplan.devices.robot._stage import RobotStage, RobotTiming, read_key
-from needleplan.devices.robot._way import RobotWay, open_way
+from needleplan.devices.robot._way import LINE_BAUD, RobotWay, open_way
 from needleplan.devices.robot.messages import Fault, MotionLimits, RobotState, RobotStatus
 
 __all__ = [
+    "LINE_BAUD",
     "DriveLimits",
     "Fault",
     "MotionLimits",

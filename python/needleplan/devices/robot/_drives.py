@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 from typing import Protocol
 
-from needleplan.artifacts import call_repr
+from needleplan.artifacts import CallRepr
 from needleplan.devices.robot.messages import Fault, MotionLimits
 from needleplan.stopping import WINDOW_S
 
@@ -29,7 +29,7 @@ _LEFT_MM, _LEFT_RAD = 0.1, 0.02
 
 
 @dataclass(frozen=True, slots=True)
-class RobotDriveState:
+class RobotDriveState(CallRepr):
     """State of the drives: measured and commanded positions, measured velocities, and faults.
 
     `wanted_depth_mm` and `wanted_roll_rad` are the commanded positions. `faults` holds only faults that the drives
@@ -44,8 +44,6 @@ class RobotDriveState:
     wanted_roll_rad: float
     moving: bool
     faults: Fault = Fault(0)
-
-    __repr__ = call_repr
 
 
 class RobotDrive(Protocol):

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from needleplan.artifacts import call_repr
+from needleplan.artifacts import CallRepr
 from needleplan.devices.robot.messages import MotionLimits
 
 __all__ = ["RobotCounts", "RobotLimits"]
 
 
 @dataclass(frozen=True)
-class RobotLimits:
+class RobotLimits(CallRepr):
     """Limits of the robot itself. A controller may request narrower limits of motion for its session, never wider ones.
 
     While the robot moves, it stops after `silence_s` without a datagram from the controller. The controller may request
@@ -30,8 +30,6 @@ class RobotLimits:
     roll_rad: float = 200.0
     fastest_rad_s: float = 20.0
     longest_valid_s: float = 1.5
-
-    __repr__ = call_repr
 
     @property
     def motion(self) -> MotionLimits:

@@ -3,41 +3,41 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 from itertools import pairwise
 
 from needleplan.devices.robot._bench import RobotBench
 from needleplan.devices.robot._codes import Fault, Result, RobotKind, RobotState
-from needleplan.devices.robot._probe import require
-from needleplan.devices.robot.messages import encode
+from needleplan.devices.robot._probe import RobotProbe, require
+from needleplan.devices.robot.messages import Hello, RobotCommand, encode
 
 __all__ = [
     "deadlines", "foreign_stop", "goodbye", "insert", "latch", "late_heartbeat", "limits", "once", "redirect",
-    "repeated_heartbeat", "restart", "rotate", "standing", "stop", "stop_in_every_state", "stop_in_rotation",
-    "stop_repeated", "stop_under_load", "superseded", "watchdog", "witness",
+    "repeated_heartbeat", "repeated_hello", "restart", "rotate", "standing", "stop", "stop_in_every_state",
+    "stop_in_rotation", "stop_overtaken", "stop_repeated", "stop_under_load", "superseded", "watchdog", "witness",
 ]  # fmt: skip
 
 K, R = RobotKind, Result
 _WATCHDOG_S = 0.06  # watchdog time (s) of the rules that are silent
 _LATE_S = 0.05  # time (s) by which a stop may be late: servo ticks, drives, and the programs of both sides
+_STANDS_S = 0.04  # time (s) at rest before which STANDING is wrong: 50 ms, less a fifth for times of servo ticks
+_BUSY_S = 4.0  # time (s) for which a silent controller keeps the robot: 5 s, less a fifth
 
 
-def _unfed(bench: RobotBench, what: str, *, repeated: bool) -> None:
-    probe = bench.probe()
-    probe.silence_s = _WATCHDOG_S
-    probe.enable().depart()
-    alive = probe.command(K.ALIVE, number=0)
+def _unfed(probe: RobotProbe, what: str, unfit: Callable[[], Hello | RobotCommand]) -> None:
     for _ in range(round((_WATCHDOG_S + _LATE_S) / 0.005)):
-        probe.post(alive if repeated else probe.command(K.ALIVE, number=0, valid_s=-0.05))
+        probe.post(unfit())
         probe.listen(0.005, alive=False)
     probe.ends_in_fault(Fault.WATCHDOG, what, 0.02)
 
 
 def once(bench: RobotBench) -> None:
-    """A command number is executed once; a repetition gets the first answer."""
-    probe = bench.ready()
+    """A command number is executed once; a repetition gets the first answer, also after HELLO of another sender."""
+    probe, other = bench.ready(), bench.probe()
     motion = bench.motion
     probe.go(motion.start_mm)
+    other.expect(other.hello(), R.BUSY)
     again = probe.command(K.INSERT, motion.far_mm, motion.speed_mm_s, number=probe.number)
     probe.expect(again)
     probe.stays("a repeated number")
@@ -133,7 +133,7 @@ def redirect(bench: RobotBench) -> None:
 
 
 def standing(bench: RobotBench) -> None:
-    """STANDING is set at rest, and not while the measured positions change."""
+    """STANDING is set at rest, and not before the measured positions have stood for 50 ms."""
     probe = bench.ready()
     probe.listen(0.2)
     require(bool(probe.last.standing), "is not set at rest")
@@ -142,11 +142,26 @@ def standing(bench: RobotBench) -> None:
     probe.stop()
     probe.listen(0.15)
     require(bool(probe.last.standing), "is not set after a STOP")
+    moved_ns = max(
+        (b.head.sent_ns for (_, a), (_, b) in pairwise(probe.statuses) if abs(b.depth_mm - a.depth_mm) > 0.001),
+        default=0,
+    )
+    early = [status for _, status in probe.statuses if 0 <= status.head.sent_ns - moved_ns < 1e9 * _STANDS_S]
+    require(not any(status.standing for status in early), f"is set within {_STANDS_S:g} s of the last motion")
 
 
 def stop(bench: RobotBench) -> None:
     """STOP, without a deadline, stops a motion: the needle is measured at rest within its braking distance."""
     bench.ready().depart().stop()
+
+
+def stop_overtaken(bench: RobotBench) -> None:
+    """A STOP that a heartbeat has overtaken stops the needle."""
+    probe = bench.ready().depart()
+    stop = probe.timeless(K.STOP)
+    probe.post(probe.command(K.ALIVE, number=0))
+    probe.post(stop)
+    probe.rests("a STOP that a heartbeat has overtaken", bench.motion.speed_mm_s)
 
 
 def stop_in_rotation(bench: RobotBench) -> None:
@@ -252,12 +267,32 @@ def watchdog(bench: RobotBench) -> None:
 
 def repeated_heartbeat(bench: RobotBench) -> None:
     """A heartbeat that arrives again is no sign of life."""
-    _unfed(bench, "repeated heartbeats", repeated=True)
+    probe = bench.probe()
+    probe.silence_s = _WATCHDOG_S
+    alive = probe.enable().depart().command(K.ALIVE, number=0)
+    _unfed(probe, "repeated heartbeats", lambda: alive)
+
+
+def repeated_hello(bench: RobotBench) -> None:
+    """HELLO of the session that arrives again is no sign of life, and changes no answer to a repeated command."""
+    probe = bench.probe()
+    probe.silence_s = _WATCHDOG_S
+    hello = probe.hello()
+    probe.expect(hello)
+    for kind in (K.RESET, K.ENABLE):
+        probe.expect(probe.command(kind))
+    probe.post(hello)
+    probe.expect(probe.command(K.ENABLE, number=probe.number))
+    probe.depart()
+    _unfed(probe, "repeated HELLO", lambda: hello)
 
 
 def late_heartbeat(bench: RobotBench) -> None:
     """A heartbeat after its deadline is no sign of life."""
-    _unfed(bench, "late heartbeats", repeated=False)
+    probe = bench.probe()
+    probe.silence_s = _WATCHDOG_S
+    probe.enable().depart()
+    _unfed(probe, "late heartbeats", lambda: probe.command(K.ALIVE, number=0, valid_s=-0.05))
 
 
 def goodbye(bench: RobotBench) -> None:
@@ -277,7 +312,10 @@ def restart(bench: RobotBench) -> None:
     begun_mm = dead.enable().depart(0.05).last.depth_mm
     other = bench.probe()
     other.expect(other.hello(), R.BUSY)
+    begun_ns = other.clock.now_ns()
     require(other.is_released(), "is not released 6 s after its controller has died")
+    kept_s = (other.clock.now_ns() - begun_ns) / 1e9
+    require(kept_s > _BUSY_S, f"is released {kept_s:.1f} s after its controller has died")
     other.rests("the death of its controller")
     moved_mm = abs(other.last.depth_mm - begun_mm)
     require(other.last.state is RobotState.FAULT, f"is {other.last.state.name} instead of FAULT")

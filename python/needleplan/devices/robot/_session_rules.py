@@ -114,6 +114,7 @@ def busy(bench: RobotBench) -> None:
     probe.expect(probe.hello())
     other.expect(other.hello(), R.BUSY)
     other.session, other.sequence, other.number = probe.session, 1000, 1000
+    other.expect(other.hello(), R.BUSY)
     other.seal = other.answered = probe.seal
     other.statuses = [(other.clock.now_ns(), probe.last)]
     other.expect(other.command(K.ENABLE), R.BUSY)
@@ -160,7 +161,8 @@ def wrap(bench: RobotBench) -> None:
     probe.expect(probe.command(K.ENABLE))
     require(probe.number < 10, "the counters have not wrapped")
     probe.expect(probe.command(K.ENABLE, number=_WRAP - 1), R.SUPERSEDED)
-    probe.depart()
+    probe.depart(1.5 * probe.silence_s)
+    require(probe.last.state is RobotState.ENABLED, "takes heartbeats after the wrap for no sign of life")
 
 
 def not_enabled(bench: RobotBench) -> None:

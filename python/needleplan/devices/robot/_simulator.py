@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from types import TracebackType
 from typing import Self
 
-from needleplan.artifacts import call_repr
+from needleplan.artifacts import CallRepr
 from needleplan.devices._clock import VirtualClock
 from needleplan.devices._links import Link
 from needleplan.devices.robot._doors import PtyDoor, UdpDoor
@@ -27,7 +27,7 @@ _MOST_OVERTIME = 256  # largest number of datagrams that are received after a ti
 
 
 @dataclass
-class RobotDriveFaults:
+class RobotDriveFaults(CallRepr):
     """Faults that the simulated drives show from now on."""
 
     reported: Fault = Fault(0)
@@ -56,8 +56,6 @@ class RobotDriveFaults:
 
     runaway: tuple[float, float] = (0.0, 0.0)
     """Speeds (mm/s, rad/s) at which a faulty drive moves its axes, with their commanded positions, by itself."""
-
-    __repr__ = call_repr
 
 
 class SteadyDrive(RobotDrive):

@@ -11,7 +11,7 @@ from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass
 from enum import StrEnum
 
-from needleplan.artifacts import call_repr
+from needleplan.artifacts import CallRepr
 from needleplan.devices._links import Link
 from needleplan.devices._opening import Address, open_link
 from needleplan.devices.robot import _motion_rules, _session_rules
@@ -43,15 +43,13 @@ class ConformanceVerdict(StrEnum):
 
 
 @dataclass(frozen=True)
-class ConformanceCase:
+class ConformanceCase(CallRepr):
     """Result of one test: a rule of the protocol, the verdict, and what a robot did that breaks the rule."""
 
     name: str
     rule: str
     verdict: ConformanceVerdict
     found: str = ""
-
-    __repr__ = call_repr
 
 
 def try_cases(bench: RobotBench, only: Collection[str] = ()) -> Iterator[ConformanceCase]:

@@ -22,7 +22,7 @@ import struct
 import zlib
 from dataclasses import dataclass
 
-from needleplan.artifacts import call_repr
+from needleplan.artifacts import CallRepr
 from needleplan.devices.robot._codes import NAMES_OF_FAULTS, Fault, Result, RobotKind, RobotState
 from needleplan.errors import ProtocolError
 
@@ -136,19 +136,18 @@ class MotionLimits:
 
 
 @dataclass(frozen=True, slots=True)
-class Hello:
+class Hello(CallRepr):
     """The first datagram of a session, with its limits; `silence_us` is that of `RobotCommand`."""
 
     head: Head
     limits: MotionLimits = MotionLimits()
     silence_us: int = 0
 
-    __repr__ = call_repr
     kind = RobotKind.HELLO
 
 
 @dataclass(frozen=True, slots=True)
-class RobotCommand:
+class RobotCommand(CallRepr):
     """A datagram of the controller other than HELLO.
 
     `deadline_ns` is the latest time of execution on the clock of the robot; STOP and GOODBYE need no deadline.
@@ -162,11 +161,9 @@ class RobotCommand:
     speed: float = 0.0
     silence_us: int = 0
 
-    __repr__ = call_repr
-
 
 @dataclass(frozen=True, slots=True)
-class Answer:
+class Answer(CallRepr):
     """Answer of the robot to a command of the kind `asked`; a command that is sent again gets the same result.
 
     `nonce` is a random number of the session in the answer to HELLO, else 0.
@@ -178,11 +175,9 @@ class Answer:
     state: RobotState
     nonce: int = 0
 
-    __repr__ = call_repr
-
 
 @dataclass(frozen=True, slots=True)
-class RobotStatus:
+class RobotStatus(CallRepr):
     """State of the robot, sent 1000 times per second; on a serial line, as COMPACT, at least 200 times.
 
     `overruns` is the number of late ticks of the servo, at most 65535. `missed` is the number of datagrams of the
@@ -204,8 +199,6 @@ class RobotStatus:
     homed: bool | None = None
     standing: bool | None = None
     compact: bool = False
-
-    __repr__ = call_repr
 
 
 RobotMessage = Hello | RobotCommand | Answer | RobotStatus

@@ -19,8 +19,8 @@ from pathlib import Path
 
 import numpy as np
 
-from needleplan.artifacts import digest, short_html, short_repr
-from needleplan.errors import DataError, Mistake
+from needleplan.artifacts import ShortRepr, digest
+from needleplan.errors import DataError, Mistake, reading
 from needleplan.recording.pose_files import POINTS, POSES, QUATERNION, TrackedRows, read_tracked
 from needleplan.signals import Array, FrameName, RecordFrame
 
@@ -37,7 +37,7 @@ _UNIT = 0.01
 
 
 @dataclass(frozen=True)
-class Poses:
+class Poses(ShortRepr):
     """Poses of a coil: positions, shape (n, 3), and unit quaternions with w first, shape (n, 4).
 
     `lines` holds the line of each pose in the file, `missing` the number of rows without a pose, `digest` the digest of
@@ -51,9 +51,6 @@ class Poses:
     digest: str
     notes: tuple[str, ...] = ()
 
-    __repr__ = short_repr
-    _repr_html_ = short_html
-
     @property
     def frame(self) -> RecordFrame:
         """Frame of the poses: that of the tracker."""
@@ -66,7 +63,7 @@ class Poses:
 
 
 @dataclass(frozen=True)
-class Points:
+class Points(ShortRepr):
     """Pairs of points: coordinates in the frames of the tracker and of the plan, shape (n, 3) each.
 
     If `quaternions`, shape (n, 4), are given, `tracker_mm` holds positions of the coil while the tip touched the
@@ -80,9 +77,6 @@ class Points:
     quaternions: Array | None
     digest: str
     notes: tuple[str, ...] = ()
-
-    __repr__ = short_repr
-    _repr_html_ = short_html
 
     @property
     def frames(self) -> tuple[RecordFrame, RecordFrame]:
@@ -215,8 +209,5 @@ def _unit(quaternions: Array) -> Array:
 
 
 def _content(path: str | os.PathLike[str]) -> bytes:
-    try:
+    with reading(path, DataError):
         return Path(path).read_bytes()
-    except (OSError, ValueError) as error:
-        reason = getattr(error, "strerror", None) or error
-        raise DataError(f"cannot be read: {reason}", os.fspath(path)) from error

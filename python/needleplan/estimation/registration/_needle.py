@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from needleplan.artifacts import Parent, short_html, short_repr
+from needleplan.artifacts import Parent, ShortRepr
 from needleplan.errors import DataError
 from needleplan.estimation.registration._alternatives import pairings, quaternion_orders
 from needleplan.estimation.registration._measurements import Points, Poses, axes_of, read_points, read_poses
@@ -46,16 +46,13 @@ _FLAT = 0.02
 
 
 @dataclass(frozen=True)
-class CalibratedNeedle:
+class CalibratedNeedle(ShortRepr):
     """Outcome of `calibrate_needle`: the calibration, the reasons against it, and remarks about the data."""
 
     pivot: Pivot
     refusals: tuple[Refusal, ...]
     remarks: tuple[str, ...]
     verdict: RegistrationVerdict
-
-    __repr__ = short_repr
-    _repr_html_ = short_html
 
     @property
     def ok(self) -> bool:
@@ -64,7 +61,7 @@ class CalibratedNeedle:
 
 
 @dataclass(frozen=True)
-class Registered:
+class Registered(ShortRepr):
     """Outcome of `register_tracker`: the fits, the verdict with its reasons, and remarks about the data.
 
     `registration` is None unless the verdict is passed or accepted. If the poses do not determine the offset of the
@@ -80,9 +77,6 @@ class Registered:
     refusals: tuple[Refusal, ...]
     remarks: tuple[str, ...]
     verdict: RegistrationVerdict
-
-    __repr__ = short_repr
-    _repr_html_ = short_html
 
     @property
     def ok(self) -> bool:

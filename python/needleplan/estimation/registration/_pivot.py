@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from needleplan.artifacts import short_html, short_repr
+from needleplan.artifacts import ShortRepr
 from needleplan.errors import DataError, Mistake
 from needleplan.estimation.registration._rigid import rows_of
 from needleplan.signals import Array
@@ -55,7 +55,7 @@ class PivotStatus(StrEnum):
 
 
 @dataclass(frozen=True)
-class Pivot:
+class Pivot(ShortRepr):
     """Result of a pivot calibration. Without the status DETERMINED, tip, pivot, deviations and RMS are NaN.
 
     - `tip_mm`: tip in the frame of the sensor, shape (3,), or its distance along the axis of a coil, shape (1,).
@@ -80,9 +80,6 @@ class Pivot:
     """Condition number of the linear equations: ratio of their largest to their smallest singular value."""
 
     outliers: tuple[int, ...] = ()
-
-    __repr__ = short_repr
-    _repr_html_ = short_html
 
     @property
     def ok(self) -> bool:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
-from needleplan.artifacts import Parent, digest, short_html, short_repr, version, write_whole
+from needleplan.artifacts import Parent, ShortRepr, digest, version, write_whole
 from needleplan.config import (
     ConfigTable,
     Integer,
@@ -113,7 +113,7 @@ class _RegistrationFile(
 
 
 @dataclass(frozen=True)
-class Registration:
+class Registration(ShortRepr):
     """Distance from coil to tip, and the rigid motion from the frame of the tracker to the frame of the plan.
 
     In the frame of the plan, x is along the insertion, y lateral to the left, and z out of the plane.
@@ -140,9 +140,6 @@ class Registration:
     title: str = ""
     made_by: str = field(default_factory=_made_by)
     verdict: RegistrationVerdict = RegistrationVerdict()
-
-    __repr__ = short_repr
-    _repr_html_ = short_html
 
     def __post_init__(self) -> None:
         try:

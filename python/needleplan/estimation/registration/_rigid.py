@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from needleplan.artifacts import short_html, short_repr
+from needleplan.artifacts import ShortRepr
 from needleplan.errors import DataError, Mistake
 from needleplan.signals import Array, RigidError
 
@@ -24,7 +24,7 @@ _UNLIKELY = 0.01
 
 
 @dataclass(frozen=True)
-class RigidMotion:
+class RigidMotion(ShortRepr):
     """A rigid motion b = R a + t from one frame to another, fitted to pairs of points.
 
     `fre_mm` is the fiducial registration error: the root mean square distance of the moved points from their partners.
@@ -46,9 +46,6 @@ class RigidMotion:
 
     axes: Array
     """Principal axes of the points: the rows of an array of shape (3, 3)."""
-
-    __repr__ = short_repr
-    _repr_html_ = short_html
 
     @property
     def points(self) -> int:

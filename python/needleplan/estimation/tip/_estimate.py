@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any
 
-from needleplan.artifacts import short_html, short_repr
+from needleplan.artifacts import ShortRepr
 from needleplan.config import ConfigTable, Integer, Number, ruled
 from needleplan.errors import ModelError
 
@@ -144,7 +144,7 @@ class PoseUse(StrEnum):
 
 
 @dataclass(frozen=True)
-class TipEstimate:
+class TipEstimate(ShortRepr):
     """The tip in the frame of the plan at the time of the newest stage sample.
 
     x is along the insertion, y lateral to the left, z out of the plane. `heading_rad` is the direction of the tip in
@@ -179,9 +179,6 @@ class TipEstimate:
 
     curvature_factor_change_per_mm: float = 0.0
     curvature_factor_change_sd_per_mm: float = 0.0
-
-    __repr__ = short_repr
-    _repr_html_ = short_html
 
     @property
     def bevel(self) -> int:

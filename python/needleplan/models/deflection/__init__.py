@@ -4,7 +4,7 @@
 |---|---|
 | `NeedleShaft`, `ElasticTissue` | geometry and material of the needle; stiffness and friction of the tissue |
 | `Beam` | coefficients of the beam equation for one or many insertions |
-| `solve_elements`, `solve_exact` | solution of the beam equation by finite elements, or exactly without axial load |
+| `solve_elements` | solution of the beam equation by finite elements |
 | `march` | an insertion step by step, in tissue that remembers the path of the tip |
 | `tip_path_mm` | the path of the tip in closed form |
 | `UnsupportedShaft` | buckling load between the last support and the tissue |
@@ -19,7 +19,6 @@ The deflection u is positive toward the push of the bevel.
 from needleplan.models.deflection._beam import AxialTerms, Beam, ElasticTissue, Foundation, NeedleShaft
 from needleplan.models.deflection._buckling import ShaftEnd, UnsupportedShaft
 from needleplan.models.deflection._elements import ElementShape, hermite, solve_elements, solve_uniform
-from needleplan.models.deflection._exact import ExactShape, solve_exact
 from needleplan.models.deflection._fibre import FibreCurvatures, FibreSensors
 from needleplan.models.deflection._march import (
     AxialOffset,
@@ -31,9 +30,6 @@ from needleplan.models.deflection._march import (
 )
 from needleplan.models.deflection._path_law import (
     FreePath,
-    circle_push_n,
-    flip_jump,
-    side_slip,
     steady_radius_mm,
     tip_path_mm,
 )
@@ -48,7 +44,6 @@ __all__ = [
     "CutPath",
     "ElasticTissue",
     "ElementShape",
-    "ExactShape",
     "FibreCurvatures",
     "FibreSensors",
     "Foundation",
@@ -62,17 +57,13 @@ __all__ = [
     "SpatialBeam",
     "TipPath",
     "UnsupportedShaft",
-    "circle_push_n",
     "cutting_force_n",
     "finite_depth_factor",
     "fit_shape",
-    "flip_jump",
     "hermite",
     "march",
     "radius_from_axial_mm",
-    "side_slip",
     "solve_elements",
-    "solve_exact",
     "solve_uniform",
     "steady_radius_mm",
     "tip_path_mm",

@@ -24,7 +24,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from needleplan.artifacts import call_repr, short_html
+from needleplan.artifacts import CallRepr
 from needleplan.errors import Mistake, ModelError
 from needleplan.models.deflection._stepped import StiffnessSteps
 from needleplan.signals import Array
@@ -44,7 +44,7 @@ _RANGES = {
 
 
 @dataclass(frozen=True)
-class NeedleShaft:
+class NeedleShaft(CallRepr):
     """Geometry and material of a straight needle with a bevelled tip, hollow or solid.
 
     The constructor raises ModelError, with all mistakes, for numbers out of range and for an inner diameter that is not
@@ -84,9 +84,6 @@ class NeedleShaft:
     shear_modulus_gpa: float = 77.0
     density_kg_m3: float = 8000.0
     stiffness_steps: StiffnessSteps = ()
-
-    __repr__ = call_repr
-    _repr_html_ = short_html
 
     def __post_init__(self) -> None:
         mistakes = []
@@ -229,7 +226,7 @@ class ElasticTissue:
 
 
 @dataclass(frozen=True)
-class Beam:
+class Beam(CallRepr):
     """Coefficients of the beam equation: scalars, or arrays that broadcast, one entry for each insertion."""
 
     length_mm: Array
@@ -261,8 +258,6 @@ class Beam:
     _: KW_ONLY
     steps: StiffnessSteps = ()
     """Changes of EI along the shaft, the same for all insertions; `bending_n_mm2` is EI at the tip."""
-
-    __repr__ = call_repr
 
     @classmethod
     def of(

@@ -25,7 +25,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from needleplan.artifacts import call_repr
+from needleplan.artifacts import CallRepr
 from needleplan.errors import Mistake, ModelError
 from needleplan.models.deflection._beam import Beam
 from needleplan.models.deflection._blocks import solve_blocks
@@ -105,7 +105,7 @@ _PATH = _integral(_H0, np.stack([1 - _POINTS, _POINTS]))
 
 
 @dataclass(frozen=True)
-class ElementShape:
+class ElementShape(CallRepr):
     """Shapes of bent needles with the same number n of elements.
 
     `deflection_mm` and `slope_rad` are the values at the nodes from the entry point to the tip, shape (insertions, n +
@@ -117,8 +117,6 @@ class ElementShape:
     slope_rad: Array
     base_mm: float = 0.0
     base_slope_rad: float = 0.0
-
-    __repr__ = call_repr
 
     @property
     def tip_mm(self) -> Array:

@@ -20,7 +20,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import ArrayLike
 
-from needleplan.artifacts import short_html, short_repr
+from needleplan.artifacts import ShortRepr
 from needleplan.config import ConfigTable, Number, Violation, ruled, sequence
 from needleplan.errors import DataError, Mistake, ModelError
 from needleplan.signals import FIBRE_COLUMNS, Array, Record
@@ -61,7 +61,7 @@ def _gauge_is_in_the_needle(from_tip_mm: tuple[float, ...], gauge_mm: float) -> 
 
 
 @dataclass(frozen=True)
-class FibreCurvatures:
+class FibreCurvatures(ShortRepr):
     """Curvatures of a needle from the strains of its cores.
 
     Parameters
@@ -83,9 +83,6 @@ class FibreCurvatures:
     curvature_per_mm: Array
     common_strain: Array
     notes: tuple[str, ...]
-
-    __repr__ = short_repr
-    _repr_html_ = short_html
 
 
 @dataclass(frozen=True)

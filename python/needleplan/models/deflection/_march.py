@@ -24,7 +24,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from needleplan.artifacts import call_repr
+from needleplan.artifacts import CallRepr
 from needleplan.errors import Mistake, ModelError
 from needleplan.models.deflection._beam import AxialTerms, Beam, ElasticTissue, Foundation, NeedleShaft
 from needleplan.models.deflection._elements import solve_uniform
@@ -34,7 +34,7 @@ __all__ = ["AxialOffset", "CutPath", "cutting_force_n", "finite_depth_factor", "
 
 
 @dataclass(frozen=True)
-class CutPath:
+class CutPath(CallRepr):
     """Result of `march` at every depth of the tip, shape (..., steps + 1); `depth_mm` has the shape (steps + 1,)."""
 
     depth_mm: Array
@@ -45,8 +45,6 @@ class CutPath:
 
     last_shape: Array
     """Deflection (mm) of the inserted needle after the last step, at the distances `depth_mm` from the entry point."""
-
-    __repr__ = call_repr
 
 
 def march(

@@ -31,16 +31,16 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from needleplan.artifacts import call_repr
+from needleplan.artifacts import CallRepr
 from needleplan.errors import Mistake, ModelError
 from needleplan.models.deflection._beam import ElasticTissue, NeedleShaft
 from needleplan.signals import Array
 
-__all__ = ["FreePath", "circle_push_n", "flip_jump", "side_slip", "steady_radius_mm", "tip_path_mm"]
+__all__ = ["FreePath", "steady_radius_mm", "tip_path_mm"]
 
 
 @dataclass(frozen=True)
-class FreePath:
+class FreePath(CallRepr):
     """State of the path law at one depth. `advanced` returns the state at a larger depth.
 
     `push_n` is P at this depth. `once_n_mm` and `twice_n_mm2` are the first and second integral of P from the entry.
@@ -52,8 +52,6 @@ class FreePath:
     push_n: float = 0.0
     once_n_mm: float = 0.0
     twice_n_mm2: float = 0.0
-
-    __repr__ = call_repr
 
     def advanced(self, depth_mm: float, push_n: float) -> FreePath:
         """Return the state at a greater depth, with P linear in between.
@@ -135,38 +133,3 @@ def steady_radius_mm(needle: NeedleShaft, tissue: ElasticTissue, push_n: float, 
     a, b = math.sqrt(square - axial_n / (4 * bending)), math.sqrt(square + axial_n / (4 * bending))
     spread = axial_n / spring * (3 * a * b**2 - a**3)
     return bending / push_n * (spread + (1 - axial_n**2 / (2 * bending * spring)) * (3 * a**2 - b**2) / (2 * a))
-
-
-def circle_push_n(needle: NeedleShaft, tissue: ElasticTissue, depth_mm: ArrayLike, radius_mm: float) -> Array:
-    """Return the lateral force (N) at every depth that makes the path a circle, tangent at the entry.
-
-    The force rises over a length of about 1/lam. The result has the shape of `depth_mm`.
-    """
-    needle.require_uniform("the force of a circle")
-    lam = tissue.decay_1_mm(needle)
-    angle = lam * np.asarray(depth_mm, float)
-    rise = 1 - np.exp(-angle) * (np.cos(angle) + np.sin(angle))
-    return np.asarray(needle.bending_stiffness_n_mm2 * lam / radius_mm * rise)
-
-
-def side_slip(
-    needle: NeedleShaft, tissue: ElasticTissue, radius_mm: float, behind_tip_mm: ArrayLike = 0.0
-) -> tuple[Array, float]:
-    """Return the distance (mm) between needle and path at a point behind the tip, and the slope of the tip (rad).
-
-    The path is a circle. The slope is relative to the path and negative: the tip points outward.
-    """
-    needle.require_uniform("the law of the path")
-    lam = tissue.decay_1_mm(needle)
-    angle = lam * np.asarray(behind_tip_mm, float)
-    return np.asarray(np.exp(-angle) * np.sin(angle) / (2 * lam**2 * radius_mm)), -1 / (2 * lam * radius_mm)
-
-
-def flip_jump(needle: NeedleShaft, tissue: ElasticTissue, push_n: float) -> tuple[float, float]:
-    """Return the jump (mm) and the turn (rad) of the path toward the new side when P changes to -P.
-
-    No experiment has tested this prediction.
-    """
-    needle.require_uniform("the law of the path")
-    lam, spring = tissue.decay_1_mm(needle), tissue.stiffness_n_mm2
-    return 4 * lam * push_n / spring, 8 * lam**2 * push_n / spring

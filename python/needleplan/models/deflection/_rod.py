@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from needleplan import _ppvi
-from needleplan.artifacts import short_html, short_repr
+from needleplan.artifacts import ShortRepr
 from needleplan.errors import Mistake, ModelError
 from needleplan.models._base import Channel, Model
 from needleplan.models._parameter import constant, parameter
@@ -39,7 +39,7 @@ _SHORTEST_MM = 1e-3
 
 
 @dataclass(frozen=True)
-class NeedleShape:
+class NeedleShape(ShortRepr):
     """Shape of a needle at some places along its length.
 
     Parameters
@@ -67,9 +67,6 @@ class NeedleShape:
     tangent: Array
     normal: Array
     curvature_per_mm: Array
-
-    __repr__ = short_repr
-    _repr_html_ = short_html
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from scipy.optimize import least_squares
 from scipy.special import ndtri, stdtrit
 
-from needleplan.artifacts import short_html, short_repr
+from needleplan.artifacts import ShortRepr
 from needleplan.errors import DataError, Mistake
 from needleplan.models._estimates import Estimate
 from needleplan.models.deflection._rod import LayeredShape
@@ -30,7 +30,7 @@ _SCALE_PER_MM = 1e-3
 
 
 @dataclass(frozen=True)
-class ShapeFit:
+class ShapeFit(ShortRepr):
     """A shape that was fitted to measured curvatures.
 
     Parameters
@@ -57,9 +57,6 @@ class ShapeFit:
     model: LayeredShape
     estimates: dict[str, Estimate]
     residual_per_mm: Array
-
-    __repr__ = short_repr
-    _repr_html_ = short_html
 
     @property
     def rms_per_mm(self) -> float:

@@ -59,7 +59,10 @@ def outer_stiffness(
     steps: StiffnessSteps, bending_n_mm2: Array, axial_n: Array, depth_mm: Array, length_mm: Array,
     stumpff: Callable[[int, Array], Array],
 ) -> tuple[Array, Array, Array]:  # fmt: skip
-    """Return K_uu (N/mm), K_ut (N) and K_tt (N mm) of the end at the surface of the outer part, clamped at its base."""
+    """Return the stiffness of the part of the shaft outside of the tissue, at the surface; its base is clamped.
+
+    The three arrays are force per displacement (N/mm), force per slope (N) and moment per slope (N mm).
+    """
     one, zero = np.ones_like(depth_mm), np.zeros_like(depth_mm)
     ends = []
     for moment, force in ((one, zero), (zero, one)):

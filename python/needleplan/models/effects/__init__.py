@@ -12,7 +12,7 @@
 | `with_effect`, `AugmentedModel` | a model with effects, for model files, planner, lab twin and estimators |
 """
 
-from needleplan.models.effects._augmented import AddedEffect, AugmentedModel, with_effect, without_effect
+from needleplan.models.effects._augmented import AddedEffect, AugmentedModel, with_effect
 from needleplan.models.effects._base import (
     SIZE,
     Effect,
@@ -76,5 +76,4 @@ __all__ = [
     "speed_factor",
     "weight_curvature",
     "with_effect",
-    "without_effect",
 ]

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from needleplan.artifacts import call_repr
+from needleplan.artifacts import CallRepr
 from needleplan.errors import Mistake, ModelError
 from needleplan.models._base import Channel, Model, SelfIntegratingModel
 from needleplan.models._simulate import simulate
@@ -20,11 +20,11 @@ from needleplan.signals import Array, Motion
 if TYPE_CHECKING:
     from needleplan.models._estimates import Estimate
 
-__all__ = ["AddedEffect", "AugmentedModel", "with_effect", "without_effect"]
+__all__ = ["AddedEffect", "AugmentedModel", "with_effect"]
 
 
 @dataclass(frozen=True)
-class AddedEffect:
+class AddedEffect(CallRepr):
     """An effect with parameter values, as part of a model.
 
     `values` contains at least every free parameter. `estimates` holds the fitted values with intervals. `found_by` is
@@ -37,8 +37,6 @@ class AddedEffect:
     estimates: Mapping[str, Estimate] = field(default_factory=dict)
     found_by: str = ""
     version: str = "1"
-
-    __repr__ = call_repr
 
     def __post_init__(self) -> None:
         effect = effect_named(self.name)
@@ -132,11 +130,3 @@ def with_effect(model: Model, added: AddedEffect | Sequence[AddedEffect]) -> Aug
     if isinstance(model, AugmentedModel):
         return AugmentedModel(model.base, (*model.effects, *more))
     return AugmentedModel(model, more)
-
-
-def without_effect(model: Model, name: str) -> Model:
-    """Return the model without its effects of the given name. Raises ModelError if the model has no such effect."""
-    if not isinstance(model, AugmentedModel) or name not in {effect.name for effect in model.effects}:
-        raise ModelError(Mistake("effect", name, "is not an effect of the model"), model.name)
-    left = tuple(effect for effect in model.effects if effect.name != name)
-    return AugmentedModel(model.base, left) if left else model.base

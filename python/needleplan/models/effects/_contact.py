@@ -47,7 +47,7 @@ class GuideFriction(PathTerm):
 class FrictionByDirection(PathTerm):
     """Friction of the shaft that is different in retraction.
 
-    The amplitude is a share of the model's friction, which is that of insertion.
+    The amplitude is a share of the friction of the base model, which holds for insertion.
     """
 
     name: ClassVar[str] = "friction_by_direction"

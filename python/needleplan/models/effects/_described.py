@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from needleplan.artifacts import call_repr
+from needleplan.artifacts import CallRepr
 from needleplan.errors import Mistake, ModelError
 from needleplan.models._base import Channel, Model
 from needleplan.models._parameter import Parameter, parameters_of
@@ -33,7 +33,7 @@ Nearby = Callable[[Mapping[str, float], Reach, float], list[dict[str, float]]]
 
 
 @dataclass(frozen=True)
-class _Described(Effect):
+class _Described(CallRepr, Effect):
     """An effect whose texts and search functions are fields."""
 
     name: str
@@ -86,8 +86,6 @@ class TermEffect(_Described):
 
     term: type[Term] = Puncture
 
-    __repr__ = call_repr
-
     @property
     def parameters(self) -> Mapping[str, Parameter]:  # type: ignore[override]
         """Amplitude, and parameters for place, time or rate."""
@@ -130,8 +128,6 @@ class WrapEffect(_Described):
     """An effect that is implemented by a model that wraps another one: `wrapper(base=model, size=..., ...)`."""
 
     wrapper: type[Model] = Lagging
-
-    __repr__ = call_repr
 
     @property
     def parameters(self) -> Mapping[str, Parameter]:  # type: ignore[override]

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from needleplan.artifacts import call_repr
+from needleplan.artifacts import CallRepr
 from needleplan.models.effects._base import SIZE
 from needleplan.models.effects._catalogue import FORCE_EFFECTS
 from needleplan.models.effects._tip_catalogue import TIP_EFFECTS
@@ -34,7 +34,7 @@ class LabKey:
 
 
 @dataclass(frozen=True)
-class LabEffect:
+class LabEffect(CallRepr):
     """An effect of the lab twin.
 
     `model_effect` is the name of the effect by which models express the same phenomenon. `same_law` tells whether the
@@ -47,8 +47,6 @@ class LabEffect:
     keys: Mapping[str, LabKey]
     model_effect: str = ""
     same_law: bool = False
-
-    __repr__ = call_repr
 
 
 def _amount(unit: str, upper: float, about: str, *, signed: bool = False) -> LabKey:

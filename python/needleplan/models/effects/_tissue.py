@@ -154,7 +154,7 @@ _REFERENCE_MM = 50.0
 
 @dataclass(frozen=True, kw_only=True)
 class BreathingTissue(SelfIntegratingModel):
-    """A model whose tissue moves along the needle by breathing; the state is that of the model.
+    """A model whose tissue moves along the needle by breathing; the state is the state of the base model.
 
     The displacement of the tissue is u = size/2 (sin a - rest/2 cos^2 a + rest) with a = 2 pi f t + phase. For rest 0,
     u is a sine. For rest 1, u is size ((1 + sin a)/2)^2, which dwells at exhalation (u = 0), the usual form for organs

@@ -15,9 +15,7 @@ from needleplan.models.force._depth_force import (
     ForceModel2,
     insertion_asymptote,
     regauged,
-    regauged_state,
     retraction_asymptote,
-    steady_state,
     with_gauge,
 )
 from needleplan.models.force._relaxing import BOUNDARIES, NOWHERE_MM, RelaxingForce
@@ -31,8 +29,6 @@ __all__ = [
     "RelaxingForce",
     "insertion_asymptote",
     "regauged",
-    "regauged_state",
     "retraction_asymptote",
-    "steady_state",
     "with_gauge",
 ]

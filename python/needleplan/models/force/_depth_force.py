@@ -45,9 +45,7 @@ __all__ = [
     "ForceModel2",
     "insertion_asymptote",
     "regauged",
-    "regauged_state",
     "retraction_asymptote",
-    "steady_state",
     "with_gauge",
 ]
 
@@ -153,14 +151,6 @@ class ForceModel2(DepthForce):
     alpha: float = constant("1/mm", 1e-4, 1e1, "decay rate, with depth, of the effect of the surface", typical=0.05)
 
 
-def steady_state(model: DepthForce, depth_mm: Array) -> Array:
-    """Return the equilibrium beta g(l) / sigma0 of the bristle state z at every depth l in `depth_mm`.
-
-    The result has the shape of `depth_mm`, and is NaN at depths where g(l) is not positive.
-    """
-    return np.asarray(model.beta * model.g(depth_mm) / model.sigma0)
-
-
 def insertion_asymptote(model: DepthForce, depth_mm: Array) -> Array:
     """Return the axial force (N) of an insertion in equilibrium, (beta g(l) + sigma2) l, at the depths l in `depth_mm`.
 
@@ -191,11 +181,6 @@ def regauged(model: _Force, c: float) -> _Force:
         raise ModelError(Mistake("c", f"{c}", "must be positive"), model.name)
     scaled = {name: c * getattr(model, name) for name in ("f1", "f2", "sigma0", "sigma1")}
     return model.with_values(beta=model.beta / c, **scaled)
-
-
-def regauged_state(state: Array, c: float) -> Array:
-    """Return the state of `regauged(model, c)` that corresponds to a state of `model`; any shape."""
-    return state / c
 
 
 def with_gauge(model: _Force, beta: float) -> _Force:

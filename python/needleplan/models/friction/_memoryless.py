@@ -11,7 +11,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from needleplan.artifacts import short_html, short_repr
+from needleplan.artifacts import ShortRepr
 from needleplan.errors import Mistake, ModelError
 from needleplan.models._parameter import parameter
 from needleplan.models._simulate import simulate
@@ -124,7 +124,7 @@ _N_PER_KG_MM_S2 = 1e-3
 
 
 @dataclass(frozen=True)
-class ForceParts:
+class ForceParts(ShortRepr):
     """Components of a measured axial force (N), shape (samples,) each; their sum is the measured force.
 
     Parameters
@@ -148,9 +148,6 @@ class ForceParts:
     friction_n: Array
     inertia_n: Array
     cutting_n: Array
-
-    __repr__ = short_repr
-    _repr_html_ = short_html
 
 
 def cutting_force(record: Record, friction: Friction, mass_kg: float) -> ForceParts:

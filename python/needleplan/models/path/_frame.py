@@ -17,7 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from needleplan.artifacts import short_html
+from needleplan.artifacts import CallRepr
 from needleplan.signals import Array
 
 __all__ = ["TipFrame", "Vector", "axes_of", "quaternion_of", "quaternions_along"]
@@ -29,7 +29,7 @@ _STRAIGHT_PER_MM = 1e-18
 
 
 @dataclass(frozen=True, slots=True)
-class TipFrame:
+class TipFrame(CallRepr):
     """Position and orientation of the tip in 3D.
 
     Parameters
@@ -52,8 +52,6 @@ class TipFrame:
     tangent: Vector
     normal: Vector
     binormal: Vector
-
-    _repr_html_ = short_html
 
     @classmethod
     def planar(cls, x_mm: float, y_mm: float, heading_rad: float) -> TipFrame:

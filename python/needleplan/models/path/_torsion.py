@@ -15,11 +15,10 @@ axial friction of this needle suggests. The value of the thesis is an upper boun
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import accumulate
 
 import numpy as np
 
-from needleplan.artifacts import short_html
+from needleplan.artifacts import CallRepr
 from needleplan.errors import Mistake, ModelError
 from needleplan.signals import Array
 
@@ -35,7 +34,7 @@ def dragged(tip_rad: float, base_rad: float, lag_rad: float) -> float:
 
 
 @dataclass(frozen=True)
-class Torsion:
+class Torsion(CallRepr):
     """Torsional lag between base and tip.
 
     The constructor raises ModelError unless the stiffness is positive and the torque is not negative.
@@ -57,8 +56,6 @@ class Torsion:
 
     stiffness_n_mm2: float
     torque_per_length_n: float
-
-    _repr_html_ = short_html
 
     def __post_init__(self) -> None:
         mistakes = []
@@ -136,31 +133,6 @@ class Torsion:
             )
         )
         return self.torque_per_length_n * radius_mm / self.stiffness_n_mm2 * (inserted_mm / angle) ** 2
-
-    def tip_angle_rad(
-        self, base_rad: Array, outside_mm: float, inserted_mm: float, start_rad: float | None = None
-    ) -> Array:
-        """Return the angle of the tip for a history of the base at a fixed depth.
-
-        Parameters
-        ----------
-        base_rad : Array
-            Angle of the base, shape (samples,).
-        outside_mm, inserted_mm : float
-            Length of the shaft outside of and inside the tissue.
-        start_rad : float, optional
-            Angle of the tip before the first sample. The default is the first angle of the base: untwisted.
-
-        Returns
-        -------
-        Array
-            Angle of the tip, shape (samples,).
-        """
-        lag = self.lag_rad(outside_mm, inserted_mm)
-        base = np.asarray(base_rad, float)
-        first = float(base[0]) if start_rad is None else start_rad
-        behind = accumulate(base.tolist(), lambda tip, angle: dragged(tip, angle, lag), initial=first)
-        return np.array(list(behind)[1:])
 
     def compensated_rad(self, start_rad: float, target_rad: float, outside_mm: float, inserted_mm: float) -> Array:
         """Return the angles of the base that bring tip and base to a target angle.

@@ -23,7 +23,7 @@ from enum import StrEnum
 import numpy as np
 from numpy.typing import NDArray
 
-from needleplan.artifacts import call_repr
+from needleplan.artifacts import CallRepr
 from needleplan.errors import DataError, Mistake
 from needleplan.signals import FAST_ALPHA1, Array, HighGainObserver, Projection
 
@@ -53,7 +53,7 @@ class TuningStatus(StrEnum):
 
 
 @dataclass(frozen=True)
-class SlowObserver:
+class SlowObserver(CallRepr):
     """Result of the tuning of a slow observer.
 
     `projection` is None unless the status is COMPENSATED. `alphas` (1/s) and `gaps_mm_s`, shape (40,), are the curve
@@ -69,8 +69,6 @@ class SlowObserver:
     upward: int
     downward: int
     gap_sd_mm_s: float = np.inf
-
-    __repr__ = call_repr
 
     @property
     def alpha1(self) -> float | None:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from needleplan.artifacts import call_repr, short_html, short_repr
+from needleplan.artifacts import CallRepr, ShortRepr
 from needleplan.diagnosis import Settings
 from needleplan.diagnosis.calibration import calibrate_trial
 from needleplan.diagnosis.data import Lack, check_data, measured_output, sensor_noise
@@ -21,7 +21,7 @@ __all__ = ["ModelComparison", "TrialGap", "compare"]
 
 
 @dataclass(frozen=True)
-class TrialGap:
+class TrialGap(CallRepr):
     """Root mean square (RMS) of measured minus modelled output of one trial, with and without the effects of a model.
 
     Parameters
@@ -54,8 +54,6 @@ class TrialGap:
     noise: float
     steps: tuple[float, ...] = ()
 
-    __repr__ = call_repr
-
     @property
     def explained(self) -> float:
         """Share of the energy of the base model's gap above the noise that the effects explain; at most 1.
@@ -72,7 +70,7 @@ class TrialGap:
 
 
 @dataclass(frozen=True)
-class ModelComparison:
+class ModelComparison(ShortRepr):
     """A model compared with recordings.
 
     Parameters
@@ -94,9 +92,6 @@ class ModelComparison:
     fitted: bool
     unit: str
     remarks: tuple[str, ...]
-
-    __repr__ = short_repr
-    _repr_html_ = short_html
 
     @property
     def effects(self) -> tuple[str, ...]:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from needleplan.artifacts import call_repr, write_whole
+from needleplan.artifacts import CallRepr, write_whole
 from needleplan.diagnosis import Diagnosis, Verdict
 from needleplan.errors import InputError, Mistake, ModelError
 from needleplan.models import Channel, InPlane, Model, Torsion, in_plane
@@ -40,7 +40,7 @@ _UNTURNED_RAD = 0.02
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class RobotCorrection:
+class RobotCorrection(CallRepr):
     """What the robot needs for a diagnosed needle, in the plane and in 3D.
 
     `bends` holds, by inserted length, the roll angles at which the needle bends to the left and right. `torsion` is the
@@ -49,8 +49,6 @@ class RobotCorrection:
 
     bends: InPlane
     torsion: Torsion | None = None
-
-    __repr__ = call_repr
 
     @property
     def turned_rad(self) -> float:
@@ -88,8 +86,6 @@ class CorrectedPlan(RobotCorrection):
 
     scenario: Scenario
     path: Identified | None = None
-
-    __repr__ = call_repr
 
     @property
     def heading_rad(self) -> float:

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from needleplan.artifacts import call_repr, write_whole
+from needleplan.artifacts import write_whole
 from needleplan.diagnosis import Diagnosis
 from needleplan.models import Model, ModelFile, Parent, SpatialBicycle, in_plane
 from needleplan.models.effects import AddedEffect, AugmentedModel
@@ -46,8 +46,6 @@ class CorrectedAnatomy(RobotCorrection):
     scenario: SpaceScenario
     ratios: tuple[float, ...]
     passed: tuple[bool, ...]
-
-    __repr__ = call_repr
 
 
 def planned_path_model(scenario: SpaceScenario, paths: Sequence[InsertionPath]) -> ModelFile:

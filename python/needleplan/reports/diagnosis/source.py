@@ -5,13 +5,13 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from needleplan.artifacts import call_repr
+from needleplan.artifacts import CallRepr
 
 __all__ = ["DiagnosisSource"]
 
 
 @dataclass(frozen=True)
-class DiagnosisSource:
+class DiagnosisSource(CallRepr):
     """Files and options of a diagnosis, as they were given to `needleplan diagnose`.
 
     Attributes
@@ -49,8 +49,6 @@ class DiagnosisSource:
     reference: tuple[str, ...] = ()
     without_references: bool = False
     strict: bool = False
-
-    __repr__ = call_repr
 
     def document(self) -> dict[str, Any]:
         """Return the entry `source` of `diagnosis.json`, as a dictionary of JSON values."""

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from needleplan.artifacts import short_html, short_repr
+from needleplan.artifacts import ShortRepr
 from needleplan.diagnosis import Diagnosis, MotionPhase, motion_phases, residuals_of
 from needleplan.signals import Array, Motion, Role
 
@@ -21,7 +21,7 @@ _FEWEST = 5
 
 
 @dataclass(frozen=True)
-class TrialTrace:
+class TrialTrace(ShortRepr):
     """Measured and modelled outputs of one trial, with the model before and after adding effects.
 
     `measured`, `before` and `after` have shape (axes, samples). `left_before` and `left_after` are the whitened
@@ -39,9 +39,6 @@ class TrialTrace:
     left_before: Array
     left_after: Array | None
     sample: NDArray[np.intp]
-
-    __repr__ = short_repr
-    _repr_html_ = short_html
 
     @property
     def held_out(self) -> bool:

@@ -16,8 +16,9 @@ use ppvi::{Result, StopFlag};
 use rand_xoshiro::Xoshiro256PlusPlus;
 use rayon::prelude::*;
 
+use crate::random::stream;
 use crate::space::arc::SpacePose;
-use crate::space::execution::{SpaceExecutor, StepEnd, stream};
+use crate::space::execution::{SpaceExecutor, StepEnd};
 use crate::workspace::Event;
 
 /// Further ends that are drawn at each step.

@@ -2,10 +2,9 @@
 
 use ppvi::space::{SUCCESS_STEPS, SpaceView, voxel};
 use ppvi::{Error, Result};
-use rand::SeedableRng;
-use rand::rand_core::Rng;
 use rand_xoshiro::Xoshiro256PlusPlus;
 
+use crate::random::normal_pair;
 use crate::space::arc::{SpaceArc, SpacePose, Vec3, along, bevel, blend, carried, turned, unit};
 use crate::space::problem::{DISTURBED_AT, SpaceProblem};
 use crate::space::watch::Watch;
@@ -265,10 +264,12 @@ impl<'a> SpaceExecutor<'a> {
         let Course { from: mut tip, planes: [_, plane], share } = course;
         let pieces = 2 * setup.samples();
         let longest = (plane - tip.pose.position[0]) / tip.pose.tangent[0] / pieces as f64;
-        let (mut piece, mut length, open) =
-            (Piece::new(-1.0, longest), 0.0, self.problem.open_around(tip.pose.position));
+        let seen = watch.believed(tip.pose).position;
+        // What is believed may move while the tip does not.
+        let open = if watch.is_late() { 0.0 } else { self.problem.open_around(seen) };
+        let (mut piece, mut length) = (Piece::new(-1.0, longest), 0.0);
         let mut bend = watch.curvature(&setup.volume, tip.pose.position);
-        let mut way = setup.volume.way(tip.pose.position);
+        let mut way = setup.volume.way(seen);
         let mut meets = |at: Vec3, length: f64| {
             if length < open {
                 way.pass(at);
@@ -292,12 +293,14 @@ impl<'a> SpaceExecutor<'a> {
             }
             tip = piece.after(tip);
             length += piece.length;
-            watch.passes(tip.pose);
-            let met = meets(tip.pose.position, length);
+            let seen = watch.passes(tip.pose);
+            let met = meets(seen, length);
             if met.is_some() {
                 return StepEnd { event: met, pose: tip.pose, length };
             }
-            tip = tip.turned_to(disturbed(tip.pose.tangent, noise * (2.0 * piece.length).sqrt(), random));
+            let before = tip.pose;
+            tip = tip.turned_to(disturbed(before.tangent, noise * (2.0 * piece.length).sqrt(), random));
+            watch.turns(before, tip.pose.tangent);
             let rest = match left {
                 Some(_) => Piece::new(curvature, to_plane(tip).unwrap_or(piece.length)),
                 None => piece,
@@ -307,8 +310,8 @@ impl<'a> SpaceExecutor<'a> {
             if left.is_some() {
                 tip.pose.position[0] = plane;
             }
-            watch.passes(tip.pose);
-            let met = meets(tip.pose.position, length);
+            let seen = watch.passes(tip.pose);
+            let met = meets(seen, length);
             if length >= open || watch.is_elsewhere() {
                 bend = watch.curvature(&setup.volume, tip.pose.position);
             }
@@ -371,17 +374,4 @@ fn disturbed(tangent: Vec3, sigma: f64, random: &mut Xoshiro256PlusPlus) -> Vec3
         return tangent;
     }
     turned(tangent, normal_pair(random).map(|x| x * sigma))
-}
-
-/// Two independent standard normal numbers (Box and Muller 1958).
-fn normal_pair(random: &mut Xoshiro256PlusPlus) -> [f64; 2] {
-    let mut uniform = || ((random.next_u64() >> 11) as f64 + 0.5) / (1u64 << 53) as f64;
-    let (radius, (sin, cos)) = ((-2.0 * uniform().ln()).sqrt(), (std::f64::consts::TAU * uniform()).sin_cos());
-    [radius * cos, radius * sin]
-}
-
-/// The random stream of a run: seed and run number, mixed by splitmix64 inside `seed_from_u64`.
-pub(crate) fn stream(seed: u64, run: u64) -> Xoshiro256PlusPlus {
-    let spread = run.wrapping_add(1).wrapping_mul(0x9E37_79B9_7F4A_7C15).rotate_left(32);
-    Xoshiro256PlusPlus::seed_from_u64(seed ^ spread)
 }

@@ -5,8 +5,9 @@ use ppvi::{Result, StopFlag};
 use rand_xoshiro::Xoshiro256PlusPlus;
 use rayon::prelude::*;
 
-use crate::space::arc::SpacePose;
-use crate::space::execution::{SpaceExecutor, stream};
+use crate::random::stream;
+use crate::space::arc::{SpacePose, Vec3};
+use crate::space::execution::SpaceExecutor;
 use crate::space::watch::Watch;
 use crate::workspace::Event;
 
@@ -46,8 +47,9 @@ pub struct SpacePath {
 struct Trail(Vec<SpacePose>, Vec<usize>);
 
 impl Watch for Trail {
-    fn passes(&mut self, pose: SpacePose) {
+    fn passes(&mut self, pose: SpacePose) -> Vec3 {
         self.0.push(pose);
+        pose.position
     }
     fn rotates(&mut self) {
         self.1.push(self.0.len() - 1);
@@ -119,7 +121,7 @@ impl SpaceExecutor<'_> {
         let mut run = SpaceRun { event: Event::Exit, length: 0.0, straight: 0.0, turns: 0, cost: 0.0 };
         let mut met = watch.event().or_else(|| self.event_at(&pose));
         while met.is_none() {
-            let (action, _) = self.best_action(pose);
+            let (action, _) = self.best_action(watch.believed(pose));
             if action < setup.rolls && last.is_some_and(|last| last != action) {
                 run.turns += 1;
                 watch.rotates();
@@ -135,7 +137,7 @@ impl SpaceExecutor<'_> {
             run.cost += setup.step_cost(action, whole) + self.price(pose.position) * whole;
             last = Some(action);
             pose = end.pose;
-            met = watch.event().or(end.event).or_else(|| self.event_at(&pose));
+            met = watch.event().or(end.event).or_else(|| self.event_at(&watch.believed(pose)));
         }
         run.event = met.map_or(Event::Exit, |event| watch.judged(event));
         run.cost += self.failure_cost(run.event);

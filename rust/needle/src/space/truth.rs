@@ -2,14 +2,16 @@
 //!
 //! The believed execution is that of [`SpaceExecutor::rollout`], with the true curvature. A witness follows it in the
 //! anatomy. What lies outside of the body counts from the moment on at which the tip is inside of it: the needle goes through
-//! the air to a skin that is deeper than believed.
+//! the air to a skin that is deeper than believed. The believed pose is that of the tip without the noise on the length up to
+//! the coil, of which each turn is undone about its point.
 
 use ppvi::space::voxel;
 use ppvi::{Error, Result, StopFlag};
 use rayon::prelude::*;
 
-use crate::space::arc::{SpacePose, Vec3, along};
-use crate::space::execution::{SpaceExecutor, stream};
+use crate::random::stream;
+use crate::space::arc::{SpacePose, Vec3, along, carried};
+use crate::space::execution::SpaceExecutor;
 use crate::space::rollout::SpaceRun;
 use crate::space::volume::{Volume, Way};
 use crate::space::watch::Watch;
@@ -25,6 +27,17 @@ pub struct SpaceTruth {
     pub rows: [[f64; 4]; 3],
     /// Curvature of the needle, relative to the planned one.
     pub curvature: f64,
+    /// Length behind the tip, mm, whose tip noise the controller does not know yet.
+    pub behind: f64,
+}
+
+/// A turn of the tip by noise.
+struct Turn {
+    at: Vec3,
+    from: Vec3,
+    to: Vec3,
+    /// Length of the path before it, mm.
+    length: f64,
 }
 
 impl SpaceTruth {
@@ -49,8 +62,11 @@ struct Witness<'a> {
     /// Believed centre of the target, mm.
     centre: Vec3,
     way: Way<'a>,
-    /// The last two believed poses.
-    last: [SpacePose; 2],
+    /// The last two poses, and those that were believed.
+    last: [[SpacePose; 2]; 2],
+    /// Length of the path, mm, and its turns by noise.
+    length: f64,
+    turns: Vec<Turn>,
     is_inside: bool,
     event: Option<Event>,
 }
@@ -58,8 +74,10 @@ struct Witness<'a> {
 impl<'a> Witness<'a> {
     fn new(truth: SpaceTruth, [volume, anatomy]: [&'a Volume; 2], centre: Vec3, start: SpacePose) -> Self {
         let place = truth.place(start.position);
-        let (last, way) = ([start; 2], anatomy.way(place));
-        let mut witness = Witness { truth, volume, anatomy, centre, way, last, is_inside: false, event: None };
+        let (last, way) = ([[start; 2]; 2], anatomy.way(place));
+        let (length, turns) = (0.0, vec![]);
+        let mut witness =
+            Witness { truth, volume, anatomy, centre, way, last, length, turns, is_inside: false, event: None };
         witness.sees(anatomy.code(place));
         witness
     }
@@ -73,7 +91,7 @@ impl<'a> Witness<'a> {
         }
     }
 
-    /// Goes straight on to a believed position.
+    /// Goes straight on to a position in the plan.
     fn goes_to(&mut self, position: Vec3) {
         if self.event.is_some() {
             return;
@@ -88,20 +106,21 @@ impl<'a> Witness<'a> {
     /// Whether the tip ends in the true target, after it has met the believed one: at the point of the believed target
     /// nearest to its centre, straight on.
     fn ends_in_target(&mut self) -> bool {
-        let [before, SpacePose { position, tangent }] = self.last;
+        let [[tip_before, before], [tip, SpacePose { position, tangent }]] = self.last;
         let (_, share) = self.volume.met(before.position, position);
-        let contact = [0, 1, 2].map(|axis| before.position[axis] + share * (position[axis] - before.position[axis]));
+        let at = |from: Vec3, to: Vec3| [0, 1, 2].map(|axis| from[axis] + share * (to[axis] - from[axis]));
+        let (contact, mut end) = (at(before.position, position), at(tip_before.position, tip.position));
+        let tip_contact = end;
         let apart = [0, 1, 2].map(|axis| self.centre[axis] - contact[axis]);
         let ahead = (0..3).map(|axis| apart[axis] * tangent[axis]).sum::<f64>().max(0.0);
         let size = self.volume.voxel_size().into_iter().fold(f64::INFINITY, f64::min);
         let count = (ahead * POINTS_IN_VOXEL / size).ceil();
-        let mut end = contact;
         for number in 1..=count as u32 {
-            let next = along(contact, ahead * f64::from(number) / count, tangent);
-            if self.volume.code(next) != voxel::TARGET {
+            let length = ahead * f64::from(number) / count;
+            if self.volume.code(along(contact, length, tangent)) != voxel::TARGET {
                 break;
             }
-            end = next;
+            end = along(tip_contact, length, tip.tangent);
             self.goes_to(end);
         }
         self.event.is_none() && self.anatomy.code(self.truth.place(end)) == voxel::TARGET
@@ -109,9 +128,31 @@ impl<'a> Witness<'a> {
 }
 
 impl Watch for Witness<'_> {
-    fn passes(&mut self, pose: SpacePose) {
-        self.last = [self.last[1], pose];
+    fn passes(&mut self, pose: SpacePose) -> Vec3 {
+        let [before, _] = self.last[1];
+        self.length += distance(before.position, pose.position);
+        let believed = self.believed(pose);
+        self.last = [self.last[1], [pose, believed]];
         self.goes_to(pose.position);
+        believed.position
+    }
+
+    fn turns(&mut self, SpacePose { position: at, tangent: from }: SpacePose, to: Vec3) {
+        if self.is_late() {
+            self.turns.push(Turn { at, from, to, length: self.length });
+        }
+    }
+
+    fn believed(&self, pose: SpacePose) -> SpacePose {
+        let late = self.turns.iter().rev().take_while(|turn| self.length - turn.length < self.truth.behind);
+        late.fold(pose, |SpacePose { position, tangent }, Turn { at, from, to, .. }| {
+            let apart = [0, 1, 2].map(|axis| position[axis] - at[axis]);
+            SpacePose { position: along(*at, 1.0, carried(apart, *to, *from)), tangent: carried(tangent, *to, *from) }
+        })
+    }
+
+    fn is_late(&self) -> bool {
+        self.truth.behind > 0.0
     }
 
     fn curvature(&self, _: &Volume, position: Vec3) -> f64 {
@@ -127,11 +168,16 @@ impl Watch for Witness<'_> {
     }
 
     fn judged(&mut self, event: Event) -> Event {
-        if event != Event::Target || !self.is_elsewhere() || self.ends_in_target() {
+        let is_believed = self.is_elsewhere() || self.is_late();
+        if event != Event::Target || !is_believed || self.ends_in_target() {
             return event;
         }
         self.event.unwrap_or(Event::Exit)
     }
+}
+
+fn distance(from: Vec3, to: Vec3) -> f64 {
+    (0..3).map(|axis| (to[axis] - from[axis]).powi(2)).sum::<f64>().sqrt()
 }
 
 impl SpaceExecutor<'_> {

@@ -6,8 +6,24 @@ use crate::workspace::Event;
 
 /// Who watches an execution, and says what differs from the plan.
 pub(crate) trait Watch {
-    /// The tip passes a pose.
-    fn passes(&mut self, _pose: SpacePose) {}
+    /// The tip passes a pose. Returns the believed position.
+    #[inline]
+    fn passes(&mut self, pose: SpacePose) -> Vec3 {
+        pose.position
+    }
+    /// Tip noise turns the tip at a pose to another tangent.
+    #[inline]
+    fn turns(&mut self, _pose: SpacePose, _tangent: Vec3) {}
+    /// The pose that the controller believes, if the tip is at this one.
+    #[inline]
+    fn believed(&self, pose: SpacePose) -> SpacePose {
+        pose
+    }
+    /// Whether the controller learns the tip noise late.
+    #[inline]
+    fn is_late(&self) -> bool {
+        false
+    }
     /// The needle is turned to another roll angle.
     fn rotates(&mut self) {}
     /// Curvature, 1/mm, at a position.

@@ -1,5 +1,6 @@
 //! How long is one look-up, and how many look-ups per second are there in a batch of a million?
 
+#[path = "../../rust/needle/benches/scene/mod.rs"]
 mod scene;
 
 use std::hint::black_box;

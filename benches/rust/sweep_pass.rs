@@ -1,6 +1,7 @@
 //! How long is one pass of the lattice solver over all states? The answer is the slope of the time over the number of
 //! passes. The time at zero passes is that of the set-up of the grid and of the final tables.
 
+#[path = "../../rust/needle/benches/scene/mod.rs"]
 mod scene;
 
 use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_main};

@@ -1,6 +1,7 @@
 //! How long does an explicit sparse problem of 300,120 states take to validate, to solve by directional sweeps, and to
 //! solve by plain value iteration? `RAYON_NUM_THREADS` sets the number of threads.
 
+#[path = "../../rust/needle/benches/scene/mod.rs"]
 mod scene;
 
 use criterion::{Criterion, criterion_group, criterion_main};

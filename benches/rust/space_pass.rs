@@ -1,8 +1,8 @@
 //! How many states a second does the pass through a volume back up, and does the time grow in proportion to their number?
 //!
 //! ```text
-//! cargo bench -p needle --bench space_pass                          # 20 M states on one thread
-//! cargo bench -p needle --bench space_pass -- 1 2 4 1 6 1 4         # spacing, mm, and of directions, degrees
+//! cargo bench -p needleplan-benches --bench space_pass                          # 20 M states on one thread
+//! cargo bench -p needleplan-benches --bench space_pass -- 1 2 4 1 6 1 4         # spacing, mm, and of directions, degrees
 //! ```
 //!
 //! The volume has 120 x 80 x 80 mm, six round obstacles and a target of 3 mm radius, the needle a radius of 50 mm. Steps of

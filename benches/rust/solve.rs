@@ -1,6 +1,7 @@
 //! How long is a whole solve of 1,176,120 states, by transition, objective and number of threads? How much longer is it
 //! with layers of different curvature?
 
+#[path = "../../rust/needle/benches/scene/mod.rs"]
 mod scene;
 
 use criterion::{BenchmarkId, Criterion, criterion_group, criterion_main};

@@ -14,14 +14,12 @@ four functions are then nearly dependent. Axial load (`AxialTerms.CONSISTENT`) h
 `solve_elements`.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from needleplan.artifacts import call_repr
+from needleplan.artifacts import CallRepr
 from needleplan.errors import Mistake, ModelError
 from needleplan.models.deflection._beam import Beam
 from needleplan.signals import Array
@@ -33,7 +31,7 @@ _NEWTON_STEPS = 12
 
 
 @dataclass(frozen=True)
-class ExactShape:
+class ExactShape(CallRepr):
     """Shapes of bent needles.
 
     `decay_1_mm` is p, and `wave_1_mm` are (q1, q2) of the module docstring, shape (insertions,) each. `weights` are the
@@ -44,8 +42,6 @@ class ExactShape:
     decay_1_mm: Array
     wave_1_mm: tuple[Array, Array]
     weights: Array
-
-    __repr__ = call_repr
 
     @property
     def tip_mm(self) -> Array:
