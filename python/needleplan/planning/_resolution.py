@@ -243,7 +243,7 @@ def _finer(scenario: Scenario, cells: float, width_mm: float) -> str:
     """
     aside_mm = scenario.motion.noise_step_rad * scenario.step_mm
     if scenario.motion.tip_noise[0] < 1 and width_mm < aside_mm:
-        return f"a noise step moves the tip {aside_mm:.2g} mm aside, so no grid resolves it; executions show its success"
+        return f"a noise step moves the tip {aside_mm:.2g} mm aside: no grid resolves it, executions show its success"
     times = math.ceil((scenario.grid.refinement or 1) * _CELLS / cells)
     if times <= 9:
         return f"grid.refinement = {times} resolves it"
