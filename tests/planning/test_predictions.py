@@ -68,20 +68,21 @@ def assert_look_ahead(scenario: dict[str, Any]) -> None:
     np.testing.assert_allclose(found.success[: len(poses)], expected, atol=1e-5)
 
 
-POSES, UNRESOLVED_POSES, DOUBT = 60, 200, 0.005
-RESOLVED_CELLS, UNRESOLVED_STEPS, ALIKE_RADII = 3.0, 8.0, 0.1
+POSES, DOUBT = 200, 0.003
+RESOLVED_CELLS, UNRESOLVED_STEPS = 3.0, 8.0
+ALIKE_RADII, ALIKE_NOISE, ALIKE_HEADING = 0.1, 0.3, 0.1
 
 
 def followed(mdp: Mdp, cells: Floats, success: Floats, pose: tuple[float, ...], action: int) -> float:
     """The success of executions from a pose; the poses that the table leaves in doubt the most are followed."""
     problem, total = mdp.problem, 0.0
-    pending: list[Pending] = [Pending(pose, 1.0, 0.0, 1.0, False)]
-    for number in range(UNRESOLVED_POSES):
+    pending: list[Pending] = [Pending(pose, 1.0, 0.0, 1.0)]
+    for number in range(POSES):
         if not pending:
             break
         at = max(range(len(pending)), key=lambda k: pending[k].doubt)
         this = pending[at]
-        if this.doubt <= DOUBT or (number >= POSES and not this.unresolved):
+        if this.doubt <= DOUBT:
             break
         pending[at], pending[-1] = pending[-1], pending[at]
         pending.pop()
@@ -96,13 +97,12 @@ def followed(mdp: Mdp, cells: Floats, success: Floats, pose: tuple[float, ...], 
                 continue
             after = float(x[0]), float(y[0]), float(turned[0] + m * problem.eta), int(new[0])
             value, spread = read(mdp, success, after)
-            unresolved = is_unresolved(problem, after)
             weight = this.weight * p
-            following = Pending(after, weight, value, weight * (1.0 if unresolved else spread), unresolved)
-            alike = (k for k, other in enumerate(pending) if unresolved and are_alike(problem, other.pose, after))
+            following = Pending(after, weight, value, weight * (1.0 if is_unresolved(problem, after) else spread))
+            alike = (k for k, other in enumerate(pending) if are_alike(problem, other.pose, after))
             if (k := next(alike, None)) is not None:
                 pending[k] = pending[k].joined(following)
-            elif unresolved or following.doubt > DOUBT:
+            elif following.doubt > DOUBT:
                 pending.append(following)
             else:
                 total += weight * value
@@ -116,22 +116,22 @@ class Pending(NamedTuple):
     weight: float
     success: float
     doubt: float
-    unresolved: bool
 
     def joined(self, other: Pending) -> Pending:
         """Both as one pose between them."""
         weight = self.weight + other.weight
-        x, y, success = (
+        x, y, theta, success = (
             (self.weight * mine + other.weight * yours) / weight
-            for mine, yours in zip((*self.pose[:2], self.success), (*other.pose[:2], other.success), strict=True)
+            for mine, yours in zip((*self.pose[:3], self.success), (*other.pose[:3], other.success), strict=True)
         )
-        return Pending((x, y, *self.pose[2:]), weight, success, self.doubt + other.doubt, self.unresolved)
+        return Pending((x, y, theta, self.pose[3]), weight, success, self.doubt + other.doubt)
 
 
 def is_unresolved(problem: Problem, pose: tuple[float, ...]) -> bool:
     """Whether the target is narrower than the cells across the motion, or nothing blurs the success."""
     x, y, theta, _ = pose
-    across = max(problem.dx * abs(math.sin(theta)), problem.dy * abs(math.cos(theta)))
+    along_x, along_y = abs(math.cos(theta)), abs(math.sin(theta))
+    across = problem.dx * along_y if along_y > along_x else problem.dy * along_x
     near = problem.target_radius + UNRESOLVED_STEPS * float(length_at(problem, np.array([x]), np.array([y]))[0])
     narrow = 2 * problem.target_radius < RESOLVED_CELLS * across and math.dist((x, y), problem.target) < near
     return narrow or all(p == 0.0 for m, p in problem.noise.items() if m)
@@ -139,8 +139,9 @@ def is_unresolved(problem: Problem, pose: tuple[float, ...]) -> bool:
 
 def are_alike(problem: Problem, one: tuple[float, ...], other: tuple[float, ...]) -> bool:
     """Whether two poses are followed as one."""
-    near = math.dist(one[:2], other[:2]) < ALIKE_RADII * problem.target_radius
-    return near and abs(one[2] - other[2]) < 1e-9 and one[3] == other[3]
+    of_noise = ALIKE_NOISE * problem.eta * float(length_at(problem, np.array([one[0]]), np.array([one[1]]))[0])
+    near = math.dist(one[:2], other[:2]) < min(of_noise, ALIKE_RADII * problem.target_radius)
+    return near and abs(one[2] - other[2]) < ALIKE_HEADING * problem.eta and one[3] == other[3]
 
 
 def read(mdp: Mdp, success: Floats, pose: tuple[float, float, float, int]) -> tuple[float, float]:

@@ -158,11 +158,12 @@ def resolution_of(table: Table, found: Rollouts[Pose]) -> Resolution:
     ratio = solved / true if true > 0 else math.inf if solved > 0 else 1.0
     warnings = []
     if target_cells < _CELLS:
-        warnings.append(f"the target is {target_cells:.2g} cells of the grid wide; {_finer(scenario, target_cells)}")
+        finer = _finer(scenario, target_cells, 2 * scenario.target.radius_mm)
+        warnings.append(f"the target is {target_cells:.2g} cells of the grid wide; {finer}")
     if passage_cells < _CELLS:
         warnings.append(
             f"the narrowest passage on the path is {passage_mm:.2g} mm wide, {passage_cells:.2g} cells of the grid; "
-            f"{_finer(scenario, passage_cells)}"
+            f"{_finer(scenario, passage_cells, passage_mm)}"
         )
     if 1 < ratio < math.inf:
         warnings.append(
@@ -234,8 +235,15 @@ def what_helps(scenario: Scenario) -> str:
     return f"half of grid.spacing_mm, {_halved(grid.spacing_mm)}, brings them closer"
 
 
-def _finer(scenario: Scenario, cells: float) -> str:
-    """Return the refinement with which a width has enough cells."""
+def _finer(scenario: Scenario, cells: float, width_mm: float) -> str:
+    """Return the refinement with which a width has enough cells, or that no grid helps.
+
+    If one noise step moves the end of the next step further than the width, success depends on the exact pose: each of
+    the few headings that the noise allows reaches the target or misses it.
+    """
+    aside_mm = scenario.motion.noise_step_rad * scenario.step_mm
+    if scenario.motion.tip_noise[0] < 1 and width_mm < aside_mm:
+        return f"a noise step moves the tip {aside_mm:.2g} mm aside: no grid resolves it, executions show its success"
     times = math.ceil((scenario.grid.refinement or 1) * _CELLS / cells)
     if times <= 9:
         return f"grid.refinement = {times} resolves it"

@@ -13,11 +13,9 @@ use crate::lookup::{Answers, Pose};
 use crate::rollout::{Executor, motion};
 use crate::workspace::Event;
 
-/// Poses from which a prediction of success makes steps at most, before it reads the table.
-const POSES: usize = 60;
-
-/// The same where the table does not resolve the target.
-const UNRESOLVED_POSES: usize = 200;
+/// Poses from which a prediction of success makes steps at most, before it reads the table: enough for all that may be
+/// reached in the last three or four steps.
+const POSES: usize = 200;
 
 /// Cells across the motion that a target must be wide for the table to resolve it.
 const RESOLVED_CELLS: f64 = 3.0;
@@ -25,12 +23,17 @@ const RESOLVED_CELLS: f64 = 3.0;
 /// Steps from the target within which success has its width.
 const UNRESOLVED_STEPS: f64 = 8.0;
 
-/// Distance below which two poses with one heading are followed as one, in radii of the target.
+/// Distance below which two poses with one heading are followed as one: in radii of the target, and in distances by which a
+/// noise step moves the end of the next step. Success may change fully within such a distance.
 const ALIKE_RADII: f64 = 0.1;
+const ALIKE_NOISE: f64 = 0.3;
+
+/// Difference of two headings that count as one, in noise steps. It grows where steps do not turn by whole noise steps.
+const ALIKE_HEADING: f64 = 0.1;
 
 /// How much of the predicted success an interpolated value may decide: its probability, times the range of the values that
 /// it is interpolated from. A pose with less is not followed.
-const DOUBT: f64 = 0.005;
+const DOUBT: f64 = 0.003;
 
 /// Sum of the weights of the grid points around a pose that are free up to which they are not divided by it, as in
 /// [`ppvi::lattice`].
@@ -45,17 +48,16 @@ struct Reached {
     success: f64,
     /// How much of the predicted success `success` may decide.
     doubt: f64,
-    /// Whether the table does not resolve the success around it.
-    unresolved: bool,
 }
 
 impl Reached {
-    /// Takes over the probability of a pose nearby. The mean position is kept.
+    /// Takes over the probability of a pose nearby. The mean pose is kept.
     fn join(&mut self, other: &Reached) {
         let weight = self.weight + other.weight;
         let mean = |a: f64, b: f64| (a * self.weight + b * other.weight) / weight;
-        let Pose { x, y, .. } = self.pose;
-        self.pose = Pose { x: mean(x, other.pose.x), y: mean(y, other.pose.y), ..self.pose };
+        let Pose { x, y, heading, bevel } = self.pose;
+        let to = other.pose;
+        self.pose = Pose { x: mean(x, to.x), y: mean(y, to.y), heading: mean(heading, to.heading), bevel };
         self.success = mean(self.success, other.success);
         self.doubt += other.doubt;
         self.weight = weight;
@@ -126,11 +128,11 @@ impl Executor<'_> {
     fn success_after(&self, pose: Pose, action: u8, success: &[f32]) -> f64 {
         let mut reached: Vec<Reached> = Vec::new();
         let mut sum = self.follow(pose, action, 1.0, success, &mut reached);
-        for followed in 1..UNRESOLVED_POSES {
+        for _ in 1..POSES {
             let most = |best: usize, at: usize| if reached[at].doubt > reached[best].doubt { at } else { best };
             let Some(at) = (0..reached.len()).reduce(most) else { break };
-            let Reached { pose, weight, doubt, unresolved, .. } = reached[at];
-            if doubt <= DOUBT || followed >= POSES && !unresolved {
+            let Reached { pose, weight, doubt, .. } = reached[at];
+            if doubt <= DOUBT {
                 break;
             }
             reached.swap_remove(at);
@@ -153,13 +155,12 @@ impl Executor<'_> {
             for turn in &sides[usize::from(m == 0)..] {
                 let pose = Pose { heading: end.heading + turn, ..end };
                 let (mean, range) = self.interpolated(success, pose);
-                let unresolved = self.is_unresolved(pose);
-                let (weight, range) = (weight * p, if unresolved { 1.0 } else { range });
-                let next = Reached { pose, weight, success: mean, doubt: weight * range, unresolved };
-                let alike = |other: &&mut Reached| unresolved && self.are_alike(&other.pose, &pose);
-                if let Some(other) = reached.iter_mut().find(alike) {
+                let weight = weight * p;
+                let doubt = weight * if self.is_unresolved(pose) { 1.0 } else { range };
+                let next = Reached { pose, weight, success: mean, doubt };
+                if let Some(other) = reached.iter_mut().find(|other| self.are_alike(&other.pose, &pose)) {
                     other.join(&next);
-                } else if unresolved || next.doubt > DOUBT {
+                } else if doubt > DOUBT {
                     reached.push(next);
                 } else {
                     decided += weight * mean;
@@ -174,7 +175,8 @@ impl Executor<'_> {
     fn is_unresolved(&self, pose: Pose) -> bool {
         let ([x, y], radius) = (self.setup.workspace.target, self.setup.workspace.target_radius);
         let (sin, cos) = pose.heading.sin_cos();
-        let across = (self.setup.spacing[0] * sin.abs()).max(self.setup.spacing[1] * cos.abs());
+        let [dx, dy] = self.setup.spacing;
+        let across = if sin.abs() > cos.abs() { dx * sin.abs() } else { dy * cos.abs() };
         let near = radius + UNRESOLVED_STEPS * self.needle_at(pose).step_length();
         self.setup.noise[1..].iter().all(|p| *p == 0.0)
             || 2.0 * radius < RESOLVED_CELLS * across && (pose.x - x).hypot(pose.y - y) < near
@@ -182,9 +184,11 @@ impl Executor<'_> {
 
     /// Whether two poses are followed as one.
     fn are_alike(&self, one: &Pose, other: &Pose) -> bool {
-        (one.heading - other.heading).abs() < 1e-9
+        let noise = self.setup.noise_step();
+        let of_noise = ALIKE_NOISE * noise * self.needle_at(*one).step_length();
+        (one.heading - other.heading).abs() < ALIKE_HEADING * noise
             && one.bevel == other.bevel
-            && (one.x - other.x).hypot(one.y - other.y) < ALIKE_RADII * self.setup.workspace.target_radius
+            && (one.x - other.x).hypot(one.y - other.y) < of_noise.min(ALIKE_RADII * self.setup.workspace.target_radius)
     }
 
     /// A table of success interpolated over position and heading, and the range of the values at the corners, where
