@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from needleplan.diagnosis import Library
+from needleplan.diagnosis import Library, catalogue
 from needleplan.diagnosis.channels import at_depth
 from needleplan.models import simulate
 from needleplan.models.effects import Effect, Reach, effect_named
@@ -108,3 +108,18 @@ def test_many_breaths_are_those_of_one_after_the_other() -> None:
     np.testing.assert_array_equal(
         effect.columns(beside, path, grid[:2]), Effect.columns(effect, beside, path, grid[:2])
     )
+
+
+def test_a_library_forgets_the_motions_that_were_used_longest_ago(monkeypatch: pytest.MonkeyPatch) -> None:
+    library = Library([effect_named("bias"), effect_named("viscous")], BASE)
+    motions = [motion(number) for number in range(3)]
+    entries = library.entries(motions)
+    first = library.sensitivities(BASE, motions[0], entries)
+    monkeypatch.setattr(catalogue, "KEPT_BYTES", 1.5 * first.nbytes)
+    monkeypatch.setattr(catalogue, "KEPT_MOTIONS", 1)
+    assert library.sensitivities(BASE, motions[0], entries) is first
+    for other in motions[1:]:
+        library.sensitivities(BASE, other, entries)
+    again = library.sensitivities(BASE, motions[0], entries)
+    assert again is not first
+    np.testing.assert_array_equal(again, first)

@@ -18,7 +18,8 @@ __all__ = [
     "EDGES_MM", "EDGE_LAW", "EFFECT_DEPTHS", "EFFECT_SPEEDS", "EFFECT_TIMES", "EMPTY_STEPS", "ENTRY_CORRELATION",
     "ENTRY_LEAST", "ENTRY_MODES", "FAR", "FAR_LEVEL", "FEWEST_REFERENCES", "FINER", "FIRST_STEP_S", "FIT_LEVELS",
     "FORCE_LAG_S", "FORCE_PRIORS", "FORMULA_ERRORS", "FORMULA_SDS", "GAINED", "GRID_MARGIN", "HELD_PROMISE",
-    "HETEROGENEITIES", "HIDDEN_MODES", "HOPELESS", "IMPOSSIBLE", "INVISIBLE", "KNOWN_NOISE", "LACKING_SDS",
+    "HETEROGENEITIES", "HIDDEN_MODES", "HOPELESS", "IMPOSSIBLE", "INVISIBLE", "KEPT_BYTES", "KEPT_MOTIONS",
+    "KNOWN_NOISE", "LACKING_SDS",
     "LARGEST_FAMILY", "LATE_S", "LAW_SCALES", "LEAST_DROP", "LEAST_PROMISE", "LEAST_SHARE", "LED", "LIKELY",
     "LINEAR_STEP", "LOCAL_S",
     "LONGEST", "LONGEST_LAG_S", "LONGEST_STEP", "LOST", "MEMORY_LAW", "MORE_SEARCHES", "MOST_EFFECTS", "MOST_MODES",
@@ -149,6 +150,8 @@ SCALE_ROUNDS = _one("SCALE_ROUNDS", 2, "rounds", "in which the scales are chosen
 AMPLITUDE_SCALES = _one("AMPLITUDE_SCALES", np.array([0.5, 2.0, 8.0, 32.0]), "noise RMS",
     "scales of the prior of an amplitude", "from hardly visible to far above the noise, in steps of four")
 MOST_EFFECTS = _one("MOST_EFFECTS", 3, "effects", "different effects of a set", "time of computation")
+KEPT_BYTES = _one("KEPT_BYTES", 1e9, "bytes", "sensitivities that a library keeps in memory", "half of a small machine")
+KEPT_MOTIONS = _one("KEPT_MOTIONS", 32, "motions", "that it keeps in any case", "trials of one diagnosis")
 GRID_MARGIN = _one("GRID_MARGIN", 1.3, "factor", "search range of a parameter beyond its grid",
     "half a step of the grid")
 VALID_RATIOS = _one("VALID_RATIOS", (0.4, 2.5), "grid amplitude",

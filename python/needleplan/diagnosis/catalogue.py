@@ -10,7 +10,7 @@ from functools import cached_property
 import numpy as np
 
 from needleplan.artifacts import CallRepr, digest
-from needleplan.diagnosis._constants import GRID_MARGIN, PARAMETER_FACTOR
+from needleplan.diagnosis._constants import GRID_MARGIN, KEPT_BYTES, KEPT_MOTIONS, PARAMETER_FACTOR
 from needleplan.errors import Mistake, ModelError
 from needleplan.models import Estimate, Model, Scale
 from needleplan.models.effects import (
@@ -94,11 +94,14 @@ class CatalogueEntry(CallRepr):
 
 @dataclass
 class Library(CallRepr):
-    """Effects to look for, with a cache of their sensitivities; recordings of the same motion share the cache."""
+    """Effects to look for, with a cache of their sensitivities; recordings of the same motion share the cache.
+
+    Above a gigabyte, the cache forgets the motions that were used longest ago.
+    """
 
     effects: Sequence[Effect]
     nominal: Model
-    _kept: dict[tuple[str, str], Array] = field(default_factory=dict, repr=False)
+    _kept: dict[str, dict[str, Array]] = field(default_factory=dict, repr=False)  # by motion, then by effect
 
     def entries(self, motions: Sequence[Motion]) -> tuple[CatalogueEntry, ...]:
         """Return the catalogue entries of all effects that can be added to the nominal base model.
@@ -153,17 +156,29 @@ class Library(CallRepr):
         rows = motion.time_s, motion.depth_mm, motion.velocity_mm_s, motion.angle_rad
         place = digest(b"".join(row.tobytes() for row in rows))
         entries = list({entry.first: entry for entry in entries}.values())
-        keys = [(place, f"{near} {entry.words}") for entry in entries]
-        whole = (place, f"{near} {' '.join(entry.words for entry in entries)}")
-        if whole not in self._kept:
+        keys = [f"{near} {entry.words}" for entry in entries]
+        whole = " ".join(keys)
+        kept = self._kept[place] = self._kept.pop(place, {})  # the motion that was used last is the last one
+        if whole not in kept:
             for key, each in zip(keys, entries, strict=True):
-                if key not in self._kept:
-                    self._kept[key] = effect_columns(each.effect, near, motion, each.grid)
-            self._kept[whole] = stacked = np.column_stack([self._kept[key] for key in keys])
+                if key not in kept:
+                    kept[key] = effect_columns(each.effect, near, motion, each.grid)
+            kept[whole] = stacked = np.column_stack([kept[key] for key in keys])
             stacked.flags.writeable = False
             ends = np.cumsum([len(entry.grid) for entry in entries])
-            self._kept |= zip(keys, np.split(stacked, ends[:-1], axis=1), strict=True)  # views of one array
-        return self._kept[whole]
+            kept |= zip(keys, np.split(stacked, ends[:-1], axis=1), strict=True)  # views of one array
+            self._forget()
+        return kept[whole]
+
+    def _forget(self) -> None:
+        """Forget motions until the cache is small enough, or has those of one diagnosis."""
+        arrays = [(place, array) for place, kept in self._kept.items() for array in kept.values() if array.base is None]
+        size = sum(array.nbytes for _, array in arrays)
+        for place in [*self._kept][:-KEPT_MOTIONS]:
+            if size <= KEPT_BYTES:
+                break
+            size -= sum(array.nbytes for other, array in arrays if other == place)
+            del self._kept[place]
 
 
 def base_of(model: Model) -> tuple[Model, tuple[FittedEffect, ...]]:
