@@ -13,6 +13,7 @@ import pytest
 from needleplan.anatomy import Anatomy, AnatomyFile, Breathing, LabelVolume, SpaceScenario, Sphere
 from needleplan.errors import ScenarioError
 from needleplan.planning import SpaceTable, plan_space, success_in_breath
+from needleplan.planning._promise import Truths
 from needleplan.planning._space_truth import reached_in_space
 from needleplan.sweep import Sweep
 from tests.anatomy.volumes import NAMES, TEXT, anatomy, box, write
@@ -141,7 +142,8 @@ def test_a_motion_of_everything_is_an_error_of_the_registration(shifted: tuple[A
     for each in found:
         shift = scenario.grid.frame.axes @ [0.0, each.residual_mm, 0.0]
         rows = np.repeat(np.column_stack([np.eye(3), -shift])[None], 400, 0)
-        reached = reached_in_space(table.solved, scenario, np.repeat(pose[None], 400, 0), (rows, np.ones(400)), 0)
+        truths = Truths(rows, np.ones(400))
+        reached = reached_in_space(table.solved, scenario, np.repeat(pose[None], 400, 0), truths, 0)
         assert each.entries[0].value == pytest.approx(reached.mean(), abs=0.03)
     assert found[0].entries[0].value > 0.8 > 0.1 > found[2].entries[0].value
 
