@@ -37,7 +37,7 @@ def test_the_true_tip_ends_in_the_target_or_beside_it(offset_mm: float, is_reach
         tip_settings=TipSettings(),
     ).run()  # fmt: skip
     believed = table.start((START[0], START[1] + offset_mm, START[2]))
-    truth = np.array([[0.0, 0.0, -offset_mm, 0.0, 1.0]])
+    truth = np.array([[0.0, 0.0, -offset_mm, 0.0, 1.0, 0.0]])
     reached = table._execution(nearest=False).reached(np.array([believed]), truth, 0)
     apart = math.dist(lab.plant.tip().position_mm, (*table.scenario.target.center_mm, 0.0))
     assert report.outcome == "target", report.cause  # the controller believes so
