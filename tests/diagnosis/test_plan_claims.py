@@ -105,7 +105,7 @@ def test_the_chance_of_a_number_of_successes_is_that_of_the_binomial_test(tmp_pa
 def test_the_success_of_a_tip_that_is_known_up_to_a_coil_is_a_claim_of_its_own(tmp_path: Path) -> None:
     runs = recorded(tmp_path, ["target"] * 5 + ["missed"] * 3)
     known, late = compare_plan(small_table(), runs).claims[0], compare_plan(small_table(), runs, 10.0).claims[1]
-    assert late.name == "same, coil 10 mm behind"
+    assert late.name == "success, coil 10 mm behind"
     assert late.planned < known.planned - 0.05
     assert (late.measured, late.low, late.high) == (known.measured, known.low, known.high)
 

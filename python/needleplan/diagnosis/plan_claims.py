@@ -176,7 +176,7 @@ def compare_plan(table: Table, recordings: Sequence[Recording], coil_mm: float =
     if runs and coil_mm:
         late = Uncertainty(coil_mm=coil_mm)
         shares = [table.success_under(late, run.start, executions=_EXECUTIONS).together.value for run in runs]
-        claims.append(_success(f"same, coil {coil_mm:.3g} mm behind", shares, runs))
+        claims.append(_success(f"success, coil {coil_mm:.3g} mm behind", shares, runs))
     if scenario:
         steps = sum(len(run.steps) for run in runs)
         if not any(run.planned_rad.any() for run in runs):

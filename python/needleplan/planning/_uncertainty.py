@@ -77,7 +77,7 @@ class Uncertainty(ConfigTable, error=InputError, between=(_one_registration, _lo
     """95 % interval of the true curvature, relative to the planned one; its logarithm is normally distributed."""
 
     coil_mm: float = ruled(
-        Number("mm", at_least=0, at_most=200), 0.0, about="distance of the coil, whose pose is measured, behind the tip"
+        Number("mm", at_least=0, at_most=500), 0.0, about="distance of the coil, whose pose is measured, behind the tip"
     )
     """Distance of the coil, whose pose is measured, behind the tip: the tip noise of this length is not known yet."""
 
