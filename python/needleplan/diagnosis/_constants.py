@@ -29,7 +29,7 @@ __all__ = [
     "REVERSAL_CORRELATION", "REVERSAL_MODES", "REVERSAL_TRAVELS", "RIMS_MM", "RIM_LAW", "RINGING_HZ", "RINGING_S",
     "ROUGH_MM", "SCALE_ROUNDS", "SCATTER", "SCATTER_FREEDOM", "SHORTEST", "SIGNIFICANT", "SINGLES", "SINGLE_SAMPLE",
     "SLOWEST_HZ", "SMOOTH_MM", "SPEED_LAW", "SPEED_TRAVEL_MM", "STARTS", "STEP_EVERY_S", "STRETCH", "STRONG",
-    "STRONGEST", "SURE_NATS", "TIP_LAG_S", "TIP_PRIORS", "TISSUE_GRID_MM", "TISSUE_VARIANCE", "TOLERANCE_SCALES",
+    "SURE_NATS", "TIP_LAG_S", "TIP_PRIORS", "TISSUE_GRID_MM", "TISSUE_VARIANCE", "TOLERANCE_SCALES",
     "TURN_FEWEST", "TURN_MOST", "TURN_REST", "TURN_TRAVEL", "UNKNOWN_NOISE", "UNUSUAL_LAG_FACTOR", "USUAL_SD",
     "VALID_RATIOS", "VISIBLE_MODE", "VISIBLE_SHARE", "WAVES_HZ", "WAVES_PER_MM", "WAVE_STEP", "Constant",
 ]
@@ -226,8 +226,6 @@ HOPELESS = _one("HOPELESS", 2.0, "nats", "deficit of a screened set that is not 
     "a fit adds little to its screening")
 LED = _one("LED", 3.0, "nats", "gain over the empty set from which a set is extended",
     "effects that gain nothing alone seldom do together")
-STRONGEST = _one("STRONGEST", 2, "fits", "of strong effects however good the set is",
-    "a fit may gain more than the screening says")
 BESIDE = _one("BESIDE", 4.0, "nats", "deficit from which no function is tried beside a set", "it has no weight")
 ALIKE = _one("ALIKE", 0.5, "gain", "share from which an effect imitates another one", "their squared correlation")
 MORE_SEARCHES = _one("MORE_SEARCHES", 3, "searches",

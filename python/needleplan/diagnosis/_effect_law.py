@@ -30,7 +30,7 @@ from needleplan.models import Scale, recurrence
 from needleplan.models.effects import SIZE
 from needleplan.signals import Array, Motion
 
-__all__ = ["AXES", "effect_laws", "law_tolerance", "rms"]
+__all__ = ["AXES", "COSINES", "effect_laws", "law_tolerance", "rms"]
 
 AXES = {
     "puncture": GapAxis.DEPTH, "cutting_layer": GapAxis.DEPTH, "fresh_cutting": GapAxis.DEPTH,
@@ -42,6 +42,9 @@ AXES = {
 }  # fmt: skip
 """Axis of the law of effects of the axial force; effects that are not listed have no such axis."""
 
+COSINES = EFFECT_DEPTHS + EFFECT_TIMES + EFFECT_SPEEDS
+"""Number of cosines of an effect's law, along depth, time and speed."""
+
 # Effects whose tolerance is that of the base's law of reversal: modulated, they would only make this law more flexible.
 _UNMODULATED = ("bristle", "latency", "tissue_motion")
 
@@ -52,11 +55,12 @@ def effect_laws(
     settings: Settings,
     coordinates: Sequence[Coordinate],
     local: Sequence[tuple[list[Array], list[Array]]],
-) -> list[Array]:
+) -> tuple[list[Array], list[slice]]:
     """Return the columns L of equation (1), the law tolerances of all effects, one array per trial.
 
-    An array has the shape (axes * samples, functions). A column is a change of the output with a standard normal
-    coefficient. Each effect has these columns:
+    Also returns which of them are the cosines of equation (4), for each effect. An array has the shape
+    (axes * samples, functions). A column is a change of the output with a standard normal coefficient.
+    Each effect has these columns:
 
     - the functions of `law_tolerance`;
     - the output change if one of its widths, times or speeds has another scale (`_other_scales`);
@@ -66,11 +70,13 @@ def effect_laws(
     `local` holds for each trial the outputs of the effects and the derivatives of the output by the `coordinates`.
     """
     columns: list[list[Array]] = [[] for _ in trials]
+    cosines: list[slice] = []
     for index, effect in enumerate(effects):
         outputs = [trial_outputs[index] for trial_outputs, _ in local]
-        laws = law_tolerance(
-            outputs, trials, settings, AXES.get(effect.name), modulated=effect.name not in _UNMODULATED
-        )  # fmt: skip
+        modulated = effect.name not in _UNMODULATED
+        laws = law_tolerance(outputs, trials, settings, AXES.get(effect.name), modulated=modulated)
+        first = sum(np.atleast_2d(each.T).shape[0] for each in columns[0])
+        cosines.append(slice(first, first + modulated * COSINES))
         rows = [
             row for row, coordinate in enumerate(coordinates)
             if coordinate.effect == index and coordinate.name != SIZE
@@ -87,7 +93,7 @@ def effect_laws(
             columns[number] += [
                 CLOCK_RAD * tangents[row] * (number == single) for row in shared_phases for single in range(len(trials))
             ]
-    return [np.column_stack(trial_columns) for trial_columns in columns]
+    return [np.column_stack(trial_columns) for trial_columns in columns], cosines
 
 
 def _other_scales(effects: Sequence[FittedEffect], index: int, trial: CalibratedTrial, number: int) -> list[Array]:

@@ -82,6 +82,9 @@ class Hypothesis:
     extra: Extra | None = None
     """Nonparametric component beside the effects, if there is one."""
 
+    cosines: tuple[Indices, ...] = ()
+    """Columns of the linear model of the law of each effect along depth, time and speed; empty if it has none."""
+
     @classmethod
     def at(
         cls,
@@ -135,7 +138,7 @@ class Hypothesis:
         multiples = tuple(rms([outputs[index] for outputs, _ in local]) / noise for index in range(len(effects)))
         sizes = [coordinates.index(Coordinate(index, SIZE)) for index in range(len(effects))]
         units = tuple(noise / max(rms([tangents[row] for _, tangents in local]), 1e-300) for row in sizes)
-        laws = effect_laws(effects, trials, problem.settings, coordinates, local)
+        laws, cosines = effect_laws(effects, trials, problem.settings, coordinates, local)
         bases: list[Array] = [
             np.hstack([problem.whiten(trial, n, np.column_stack([*local[n][1], laws[n]])), shared[n]])
             for n, trial in enumerate(trials)
@@ -151,8 +154,19 @@ class Hypothesis:
         linear = LinearModel(blocks, bases, np.array(precision), formula_error)
         return cls(
             problem, effects, trials, linear, coordinates, multiples, units, blend, before + first, outputs,
-            groups, scales, extra,
+            groups, scales, extra, tuple(np.arange(each.start, each.stop) + len(coordinates) for each in cosines),
         )  # fmt: skip
+
+    def law_variance(self, index: int, h: int) -> float:
+        """Return the mean squared deviation of an effect's law, in squared units of its amplitude's fit coordinate.
+
+        A law that deviates by a share of the output on average has an amplitude that is uncertain by this share.
+        """
+        which, row = self.cosines[index], self.coordinates.index(Coordinate(index, SIZE))
+        noise = self.problem.noise_scale.variance(self.linear.energy)[h]
+        second = self.linear.inverse[h][np.ix_(which, which)] * noise + np.outer(*2 * [self.linear.mean[h, which]])
+        energy = sum(float(each[:, row] @ each[:, row]) for each in self.linear.basis)
+        return sum(float(np.sum((each[:, which].T @ each[:, which]) * second)) for each in self.linear.basis) / energy
 
     def again(self, effects: tuple[FittedEffect, ...], trials: tuple[CalibratedTrial, ...]) -> Hypothesis:
         """Return the hypothesis linearised around other values of the same effects and of the base."""

@@ -21,6 +21,7 @@ from needleplan.diagnosis._settings import Settings
 from needleplan.diagnosis._tangents import Coordinate, unblended
 from needleplan.diagnosis.calibration import Calibration, mean_model, noise_sds
 from needleplan.diagnosis.catalogue import DetectionLimit, FittedEffect
+from needleplan.diagnosis.channels import channel_description
 from needleplan.diagnosis.data import CheckedData, measured_output
 from needleplan.errors import Mistake, ModelError
 from needleplan.models import Channel, Estimate, Model, Scale, simulate
@@ -337,7 +338,10 @@ def _score(hypothesis: Hypothesis, index: int) -> float:
 
 
 def _estimates(hypothesis: Hypothesis) -> list[dict[str, Estimate]]:
-    """Return the parameters of each effect with 95 % intervals, averaged over the heterogeneity."""
+    """Return the parameters of each effect with 95 % intervals, averaged over the heterogeneity.
+
+    An amplitude is known no better than its law; a delay no better than the usual lag, which may be of another kind.
+    """
     weights = np.exp(hypothesis.by_heterogeneity - hypothesis.log_evidence)
     scale = hypothesis.problem.noise_scale
     found: list[dict[str, Estimate]] = [{} for _ in hypothesis.effects]
@@ -350,6 +354,11 @@ def _estimates(hypothesis: Hypothesis) -> list[dict[str, Estimate]]:
         mean = float(weights @ means)
         own = hypothesis.linear.inverse[:, row, row] * scale.variance(hypothesis.linear.energy)
         variance = float(weights @ (own + (means - mean) ** 2))
+        if name == SIZE:
+            variance += hypothesis.law_variance(index, hypothesis.best)
+            if each.effect.is_lag:
+                lag_s = channel_description(hypothesis.problem.calibration.given.channel).usual_lag_s
+                variance += (lag_s / what.typical) ** 2
         sd, value = math.sqrt(max(variance, 0.0)), float(each.values[name])
         if what.scale is Scale.LOG:
             low, high = value * math.exp(-_95 * sd), value * math.exp(min(_95 * sd, 50.0))

@@ -72,6 +72,9 @@ class Child:
     several: bool = False
     """Whether a fit may gain several times what the linear columns say, since the effect is far from linear."""
 
+    leads: bool = False
+    """Whether a screening gave this effect the best score."""
+
     also: Child | None = None
     """The same effect beside the given base, from which it is fitted too: it is strong there, or far from linear."""
 
@@ -129,7 +132,7 @@ class Screening:
         return log_prior(self.problem.settings, len(self.entries), count)
 
     def children(self, parent: Hypothesis) -> list[Child]:
-        """Return each further effect beside a set, the one with the best score first, then by hope.
+        """Return each further effect beside a set: first the best of each screening, then by hope.
 
         An effect is screened at up to three points, and the one with the largest hope counts: at `parent`; for the
         empty set, with the least tolerances too, because a missing effect enlarges tolerances, which then hide it; and
@@ -152,8 +155,9 @@ class Screening:
             one, last = max(each, key=lambda one: one.hope), each[-1]
             both = last.held and not one.held and last.starts and (one.several or last.strong)
             best.append(replace(one, also=last) if both else one)
-        first = max(best, key=lambda each: each.score, default=None)
-        return sorted(best, key=lambda each: (each is not first, -each.hope))
+        leaders = [max(screened, key=lambda one: one.score).effect for screened in every if screened]
+        best = [replace(each, leads=each.effect in leaders) for each in best]
+        return sorted(best, key=lambda each: (not each.leads, -each.hope))
 
     @cached_property
     def _columns_at_given(self) -> Columns:

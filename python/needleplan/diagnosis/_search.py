@@ -29,7 +29,6 @@ from needleplan.diagnosis._constants import (
     REPETITIONS,
     SINGLES,
     STRONG,
-    STRONGEST,
 )
 from needleplan.diagnosis._decision import Names
 from needleplan.diagnosis._fit import fit_hypothesis, linearised_trials, start_point
@@ -112,7 +111,8 @@ class _Search:
         if self.screening.absorbed(starts[0].effect, parent):
             usual_s = channel_description(problem.calibration.given.channel).usual_lag_s
             less = tuple(replace(trial, lag_s=usual_s) for trial in trials)
-            points = [start_point(problem, [*effects, start], less, like=parent) for start in starts]
+            bases = less, self.screening.at_given(parent)
+            points = [start_point(problem, [*effects, one], base, like=parent) for one in starts for base in bases]
             best = max(points, key=lambda point: point.log_evidence)  # a step of a delay is far from linear
             return fit_hypothesis(problem, best.effects, best.trials, least=least, like=parent)
         start = self._best_start(parent, contenders(starts, parent), trials)
@@ -160,8 +160,8 @@ class _Search:
     def extend(self, parent: Hypothesis, most: int) -> None:
         """Screen all effects that can be added to the set `parent`, and fit at most `most` of the candidates.
 
-        A candidate is fitted if its best possible log posterior reaches that of the best set within `HOPELESS` nats. A
-        candidate with a strong gain is fitted in any case, up to `STRONGEST` of them. Further strong candidates are
+        A candidate is fitted if its best possible log posterior reaches that of the best set within `HOPELESS` nats.
+        The best candidate of each screening is fitted in any case if its gain is strong. Further strong candidates are
         fitted if the residual is above the noise, and their gain is comparable with the lead of the best set over
         `parent`.
         """
@@ -174,7 +174,7 @@ class _Search:
             if names not in self.fitted and child.score > self.scores.get(names, -math.inf):
                 self.scores[names] = child.score
             lead = self.highest - self.scores[tuple(sorted(parent.names))]
-            strong = child.strong and (fits < STRONGEST or (child.most > ALIKE * lead and not self.explained))
+            strong = child.strong and (child.leads or (child.most > ALIKE * lead and not self.explained))
             hopeful = strong or child.hope > self.highest - HOPELESS
             if fits < most and names not in self.fitted and hopeful and not self._may_be_an_error(child):
                 self._try(child)

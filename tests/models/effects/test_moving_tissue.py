@@ -18,7 +18,10 @@ def path(rate_hz: float) -> Motion:
 @pytest.mark.slow
 @pytest.mark.parametrize("lag_s", [0.3, *(pytest.param(lag, marks=pytest.mark.study) for lag in (0.02, 2.0))])
 @pytest.mark.parametrize("growth", [0.0, 0.7])
-@pytest.mark.parametrize("inner", [BASE, SlowTurning(base=BASE, size=0.3)], ids=["plain", "slow"])
+@pytest.mark.parametrize(
+    "inner", [BASE, SlowTurning(base=BASE, size=0.3), SlowTurning(base=BASE, size=2.0, share=0.4, tip=0.0)],
+    ids=["plain", "slow", "partly slow"],
+)  # fmt: skip
 def test_it_is_its_rates_integrated(inner: ShaftAndTip | SlowTurning, growth: float, lag_s: float) -> None:
     model = GivingTissue(base=inner, size=0.8, lag_s=lag_s, growth=growth)
     fine, coarse = path(1000.0), path(100.0)
@@ -26,6 +29,15 @@ def test_it_is_its_rates_integrated(inner: ShaftAndTip | SlowTurning, growth: fl
     np.testing.assert_allclose(simulate(model, fine).states, slow, atol=2e-3)
     seen = [np.interp(coarse.time_s, fine.time_s, row) for row in slow]
     np.testing.assert_allclose(simulate(model, coarse).states, seen, atol=0.03)
+
+
+def test_a_bristle_in_a_share_of_the_contacts_is_that_share_of_two_models() -> None:
+    motion, long = path(200.0), BASE.with_values(presliding_mm=BASE.presliding_mm + 2.0)
+    short_states, long_states = simulate(BASE, motion).states, simulate(long, motion).states
+    wanted = 0.6 * BASE.shaft_n(short_states, motion) + 0.4 * BASE.shaft_n(long_states, motion)
+    wanted = wanted + 0.9 * BASE.tip_n(short_states, motion) + 0.1 * BASE.tip_n(long_states, motion)
+    found = effect_named("bristle").apply(BASE, {"size": 2.0, "share": 0.4, "tip": 0.1})
+    np.testing.assert_allclose(simulate(found, motion).output, wanted, atol=1e-12)
 
 
 def test_without_a_damper_tissue_goes_along_by_its_share_of_the_friction() -> None:

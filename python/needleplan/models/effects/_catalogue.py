@@ -160,11 +160,11 @@ FORCE_EFFECTS: tuple[Effect, ...] = (
     ),
     WrapEffect(
         "bristle", "hysteresis before sliding", Family.FRICTION, Enters.SHAFT,
-        "z' = (v - |v| z)/(presliding + size)",
+        "z' = (v - |v| z)/(presliding + size), in a share of the shaft's friction and of the tip's force",
         "After a reversal the force turns round over a longer travel than the model knows: tissue sticks to "
-        "the needle and bends before it slides.",
-        "Dahl, AIAA J. 14 (1976) 1675",
-        lambda reach: {SIZE: np.geomspace(0.03, 6.0, 10)},  # noqa: ARG005
+        "the needle, or to parts of it, and bends before it slides.",
+        "Dahl, AIAA J. 14 (1976) 1675; the shares are ours",
+        lambda reach: {SIZE: np.geomspace(0.03, 6.0, 10), "share": (0.3, 1.0), "tip": (0.0, 1.0)},  # noqa: ARG005
         wrapper=SlowTurning,
         beside=(ShaftAndTip,),
     ),

@@ -24,10 +24,16 @@ _AT_ONCE = 16
 
 @dataclass(frozen=True, kw_only=True)
 class SlowTurning(SelfIntegratingModel):
-    """The base model with friction that reverses over a travel that is longer by `size` (mm). Its state is the same."""
+    """The base model, part of whose friction reverses over a travel that is longer by `size` (mm).
+
+    The state is (z, z_long), the bristles of the base and of this part. The force is linear in the bristle, so the
+    shaft has the force of (1 - share) z + share z_long, and the tip that of (1 - tip) z + tip z_long.
+    """
 
     base: ShaftAndTip
     size: float = parameter("mm", 0, 20, "additional travel over which friction reverses", typical=0.1)
+    share: float = parameter("", 0, 1, "share of the shaft's friction with this travel", typical=1.0, default=1.0)
+    tip: float = parameter("", 0, 1, "share of the tip's force with this travel", typical=1.0, default=1.0)
 
     @property
     def channel(self) -> Channel:  # type: ignore[override]
@@ -42,28 +48,33 @@ class SlowTurning(SelfIntegratingModel):
         return self.base.with_values(presliding_mm=travel) if self.size else self.base
 
     def initial_state(self, motion: Motion) -> Array:
-        """Return the state of the base at rest."""
-        return self.base.initial_state(motion)
+        """Return the states of both bristles at rest, shape (2,)."""
+        return np.concatenate([self.base.initial_state(motion), self.slow.initial_state(motion)])
 
     def derivative(self, state: Array, motion: Motion) -> Array:
-        """Return the rate of change of the state, shape (1, ...)."""
-        return self.slow.derivative(state, motion)
+        """Return the rates of change of both bristles, shape (2, ...)."""
+        return np.concatenate([self.base.derivative(state[:1], motion), self.slow.derivative(state[1:], motion)])
 
     def output(self, state: Array, motion: Motion) -> Array:
         """Return the axial force (N), shape (...)."""
-        return self.slow.output(state, motion)
+        return self.shaft_n(state, motion) + self.tip_n(state, motion)
 
     def shaft_n(self, state: Array, motion: Motion) -> Array:
         """Return the friction along the shaft (N), shape (...)."""
-        return self.slow.shaft_n(state, motion)
+        return self.base.shaft_n(_blend(state, self.share), motion)
 
     def tip_n(self, state: Array, motion: Motion) -> Array:
         """Return the force on the tip (N), shape (...)."""
-        return self.slow.tip_n(state, motion)
+        return self.base.tip_n(_blend(state, self.tip), motion)
 
     def integrate(self, motion: Motion, start: Array) -> Array:
-        """Return the bristle state z of the base model (dimensionless, -1 to 1) at every sample, shape (1, samples)."""
-        return self.slow.integrate(motion, start)
+        """Return both bristles (dimensionless, -1 to 1) at every sample, shape (2, samples)."""
+        return np.concatenate([self.base.integrate(motion, start[:1]), self.slow.integrate(motion, start[1:])])
+
+
+def _blend(state: Array, share: float) -> Array:
+    """Return (1 - share) of the first bristle plus `share` of the second, shape (1, ...)."""
+    return state[:1] + share * (state[1:2] - state[:1])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -76,7 +87,7 @@ class GivingTissue(SelfIntegratingModel):
     The largest displacement s = size (1 - growth + growth L / 50 mm) may grow with the inserted length L. If each layer
     of the tissue is held where it is, the friction of the layer displaces the layer: `growth` is 0. If the tissue is
     held as a whole, as an organ by its ligaments, the friction of the whole shaft displaces it: `growth` is 1. Both
-    springs in series give values between.
+    springs in series give values between. Beside a `SlowTurning`, its longer bristle represents the friction.
     """
 
     base: ShaftAndTip | SlowTurning
@@ -97,32 +108,38 @@ class GivingTissue(SelfIntegratingModel):
         return np.asarray(self.size * (1 - self.growth + self.growth * inserted / _REFERENCE_MM))
 
     def initial_state(self, motion: Motion) -> Array:
-        """Return the state of the base at rest and a tissue displacement of 0, shape (2,)."""
+        """Return the bristles of the base at rest and a tissue displacement of 0, shape (n + 1,)."""
         return np.append(self.base.initial_state(motion), 0.0)
 
     def derivative(self, state: Array, motion: Motion) -> Array:
-        """Return the rates of change of the bristle and of the tissue displacement, shape (2, ...)."""
-        tissue = (self.largest_mm(motion) * state[0] - state[1]) / self.lag_s
+        """Return the rates of change of the bristles and of the tissue displacement, shape (n + 1, ...)."""
+        tissue = (self.largest_mm(motion) * state[-2] - state[-1]) / self.lag_s
         sliding = replace(motion, velocity_mm_s=np.asarray(motion.velocity_mm_s - tissue))
-        return np.concatenate([self.base.derivative(state[:1], sliding), np.asarray(tissue)[None]])
+        return np.concatenate([self.base.derivative(state[:-1], sliding), np.asarray(tissue)[None]])
 
     def output(self, state: Array, motion: Motion) -> Array:
         """Return the axial force (N), shape (...)."""
-        return self.base.output(state[:1], motion)
+        return self.base.output(state[:-1], motion)
 
     def integrate(self, motion: Motion, start: Array) -> Array:
-        """Return bristle z (-1 to 1) and tissue displacement u (mm), shape (2, samples); u = 0 if `size` is 0."""
+        """Return the bristles (-1 to 1) and the tissue displacement u (mm), shape (n + 1, samples).
+
+        u is 0 if `size` is 0.
+        """
         if not self.size:
-            return np.vstack([self.base.integrate(motion, start[:1]), np.full(len(motion), float(start[1]))])
+            return np.vstack([self.base.integrate(motion, start[:-1]), np.full(len(motion), float(start[-1]))])
         inner = self.base.slow if isinstance(self.base, SlowTurning) else self.base
         velocity, time = np.asarray(motion.velocity_mm_s, float), np.asarray(motion.time_s, float)
         sizes = self.largest_mm(motion)
-        given = self.lag_s, inner.presliding_mm, float(start[0]), float(start[1])
+        given = self.lag_s, inner.presliding_mm, float(start[-2]), float(start[-1])
         dragged = _dragged(velocity.tobytes(), time.tobytes(), sizes.tobytes(), *given)
-        if not isinstance(inner, BlendedReversal):
+        if isinstance(self.base, ShaftAndTip) and not isinstance(self.base, BlendedReversal):
             return dragged
         sliding = replace(motion, velocity_mm_s=velocity - (sizes * dragged[0] - dragged[1]) / self.lag_s)
-        return np.vstack([dragged[0] + inner.deviation(sliding), dragged[1]])
+        bristle = dragged[0] + inner.deviation(sliding) if isinstance(inner, BlendedReversal) else dragged[0]
+        if not isinstance(self.base, SlowTurning):
+            return np.vstack([bristle, dragged[1]])
+        return np.vstack([self.base.base.integrate(sliding, start[:1]), bristle, dragged[1]])
 
 
 @lru_cache(maxsize=64)
