@@ -74,7 +74,7 @@ def test_a_long_delay_does_not_leave_a_longer_presliding(delay_s: float, seed: i
     assert found.names == ("latency",)
     for trial in found.named.trials:
         assert trial.model.presliding_mm == pytest.approx(BASE.presliding_mm, rel=0.2)
-        assert found.effects[0].values["size"] + trial.lag_s == pytest.approx(delay_s, abs=0.004)
+        assert found.effects[0].values["size"] + trial.lag_s == pytest.approx(delay_s, abs=0.005)
 
 
 def test_the_variance_of_an_amplitude_by_its_law_is_that_of_draws_of_the_law() -> None:
