@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -10,6 +12,7 @@ from needleplan.diagnosis._settings import Settings
 from needleplan.diagnosis.catalogue import FittedEffect
 from needleplan.models.effects import BreathingTissue, effect_named
 from needleplan.models.friction import BlendedReversal
+from needleplan.signals import Role
 from tests.diagnosis.trials import BASE, motion, recordings
 
 TRUTH = {"frequency_hz": 0.256, "phase_rad": 1.9, "rest": 1.0, "size": 11.0}
@@ -91,3 +94,12 @@ def test_a_breath_by_trial_has_a_counterpart_with_the_mean_of_its_phases() -> No
     assert shared.values == {**TRUTH, "phase_rad": pytest.approx((3.1 + 2 * np.pi - 3.1 + 3.0) / 3, abs=1e-3)}
     assert screening.shared(shared) is None
     assert Screening.of(empty.problem, Library(both[1:], BASE)).shared(by_trial) is None
+    # The third trial becomes a reference: its phase says nothing.
+    *shown, last = empty.problem.trials
+    reference = replace(last, record=replace(last.record, role=Role.REFERENCE))
+    beside = replace(screening, problem=replace(empty.problem, trials=(*shown, reference)))
+    away = replace(by_trial, own=({"phase_rad": 3.1}, {"phase_rad": 3.0}, {"phase_rad": 0.0}))
+    agreeing = beside.shared(away, agreeing=True)
+    assert agreeing is not None
+    assert agreeing.values["phase_rad"] == pytest.approx(3.05)
+    assert screening.shared(away, agreeing=True) is None

@@ -7,7 +7,7 @@ import pytest
 
 from needleplan.diagnosis import Diagnosis, Library, Verdict, diagnose
 from needleplan.diagnosis._constants import TOLERANCE_SCALES
-from needleplan.diagnosis._contradiction import transfer_z
+from needleplan.diagnosis._contradiction import strongest_lack
 from needleplan.models.effects import AddedEffect, AugmentedModel, effect_named
 from needleplan.models.friction import BlendedReversal
 from needleplan.signals import Record, Role, averaged_record
@@ -30,6 +30,10 @@ def test_a_trial_may_have_less_of_an_effect_but_not_none(share, verdict):
     )
     found = diagnose(BASE, [some[0], other[1], *some[2:]], library=FEW)
     assert found.verdict is verdict
+    lack = strongest_lack(found.posterior.hypotheses[("viscous",)])
+    assert lack is not None
+    assert (lack.effect, lack.nats > 0) == ("viscous", share == 0)
+    assert share > 0 or lack.trial == "trial 1"
 
 
 @pytest.mark.slow
@@ -42,7 +46,9 @@ def test_a_hidden_effect_is_named_with_an_interval_that_holds_it(viscous):
 
 def test_the_effect_closes_the_held_out_gap_and_no_trial_contradicts_it(viscous):
     assert 0.9 < viscous.shrink < 1
-    assert abs(transfer_z(viscous.named)) < 3.3
+    lack = strongest_lack(viscous.named)
+    assert lack is not None
+    assert lack.nats < 0
 
 
 def test_probabilities_sum_to_one_and_every_set_has_them(viscous):
@@ -67,15 +73,18 @@ def test_a_remark_tells_by_which_laws_the_base_of_the_data_differs(viscous):
 
 
 @pytest.mark.slow
-def test_another_law_of_the_base_competes_with_each_effect_by_its_lead() -> None:
+@pytest.mark.parametrize(("size", "names"), [(3e-4, ()), (1e-3, ("viscous",))])
+def test_an_effect_must_gain_more_than_an_error_of_another_law_of_the_base(size: float, names: tuple[str, ...]) -> None:
     other = BlendedReversal(**BASE.values(), shares=(30.0,), weights=(0.25,))
-    found = diagnose(BASE, recordings({"viscous": {"size": 1e-3}}, base=other), library=FEW)
+    found = diagnose(BASE, recordings({"viscous": {"size": size}}, base=other), library=FEW)
     (law,) = found.laws
     assert law.words == "friction reverses"
     ranked = found.posterior.ranked
     having, lacking = (sum(each for each, names, _ in ranked if bool(names) is some) for some in (True, False))
-    assert 20 < np.log(having / lacking) < law.nats  # certain beside the tolerances, but the law leads by more
-    assert (found.names, found.decision.other_laws) == ((), ("friction reverses",))
+    lead = np.log(having / lacking)
+    assert 3 < lead < law.nats
+    assert bool(lead > 0.09 * law.nats) is bool(names)
+    assert (found.names, found.decision.other_laws) == (names, () if names else ("friction reverses",))
 
 
 @pytest.mark.study

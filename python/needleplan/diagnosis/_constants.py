@@ -19,7 +19,7 @@ __all__ = [
     "ENTRY_LEAST", "ENTRY_MODES", "FAR", "FAR_LEVEL", "FEWEST_REFERENCES", "FINER", "FIRST_STEP_S", "FIT_LEVELS",
     "FORCE_LAG_S", "FORCE_PRIORS", "FORMULA_ERRORS", "FORMULA_SDS", "GAINED", "GRID_MARGIN", "HELD_PROMISE",
     "HETEROGENEITIES", "HIDDEN_MODES", "HOPELESS", "IMPOSSIBLE", "INVISIBLE", "KEPT_BYTES", "KEPT_MOTIONS",
-    "KNOWN_NOISE", "LACKING_SDS",
+    "KNOWN_NOISE",
     "LARGEST_FAMILY", "LATE_S", "LAW_SCALES", "LEAST_DROP", "LEAST_PROMISE", "LEAST_SHARE", "LED", "LIKELY",
     "LINEAR_STEP", "LOCAL_S",
     "LONGEST", "LONGEST_LAG_S", "LONGEST_STEP", "LOST", "MEMORY_LAW", "MORE_SEARCHES", "MOST_EFFECTS", "MOST_MODES",
@@ -252,8 +252,6 @@ VISIBLE_SHARE = _one("VISIBLE_SHARE", 0.75, "share", "of the effects that must b
     "some effects are never visible")
 FORMULA_SDS = _one("FORMULA_SDS", 2.0, "law_along_axis", "error of a formula up to which it may imitate another effect",
     "one formula in twenty is further off")
-LACKING_SDS = _one("LACKING_SDS", 2.0, "standard deviations", "within which a trial by itself has none of an effect",
-    "one trial in forty with a weak effect is that far off")
 UNKNOWN_NOISE = _one("UNKNOWN_NOISE", 1, "samples", "that know the noise, if it was guessed from the trials",
     "next to none")
 FEWEST_REFERENCES = _one("FEWEST_REFERENCES", 3, "trials", "references from which they are diagnosed first",
@@ -263,7 +261,8 @@ MOST_SAMPLES = _one("MOST_SAMPLES", 20_000, "samples", "of all trials after aver
 SLOWEST_HZ = _one("SLOWEST_HZ", 20.0, "Hz", "lowest rate to which trials are averaged for this", "reversals last 50 ms")
 LEAST_SHARE = _one("LEAST_SHARE", 0.05, "gap", "share below which nothing without a name is a finding",
     "less is not worth a sentence")
-SURE_NATS = _one("SURE_NATS", 6.9, "nats", "log odds from which a law of the base is a finding", "1,000 to 1")
+SURE_NATS = _one("SURE_NATS", 6.9, "nats", "log odds from which another law, or a trial without an effect, is found",
+    "1,000 to 1")
 SIGNIFICANT = _one("SIGNIFICANT", 3.0, "standard deviations", "of the energy of the noise from which a gap has shares",
     "one in 700 by chance")
 SCATTER = _one("SCATTER", 0.2, "logarithm", "usual standard deviation of a parameter between trials",

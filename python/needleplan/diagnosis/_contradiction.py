@@ -3,37 +3,46 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass, replace
 
-import numpy as np
-
-from needleplan.diagnosis._constants import LACKING_SDS
+from needleplan.diagnosis._fit import linearised_trials
 from needleplan.diagnosis._hypothesis import Hypothesis
-from needleplan.models.effects import SIZE
+from needleplan.signals import Role
 
-__all__ = ["transfer_z"]
+__all__ = ["Lack", "strongest_lack"]
 
 
-def transfer_z(hypothesis: Hypothesis) -> float:
-    """Return the largest deviation, in standard deviations, of a trial that lacks an effect which the others have.
+@dataclass(frozen=True)
+class Lack:
+    """A trial without an effect, and the log odds (nats) of this against the effect in all trials."""
 
-    The amplitude that a trial has by itself follows from the posterior with and without this trial. A trial lacks the
-    effect if 0 is within two standard deviations of this amplitude. Trials with more or less of it contradict nothing.
+    effect: str
+    trial: str
+    nats: float
+
+
+def strongest_lack(hypothesis: Hypothesis) -> Lack | None:
+    """Return the trial and the effect with the largest odds that this trial lacks what the others have.
+
+    The rival of a set has the same effects, laws and base, with the output of one effect zero in one trial, as in a
+    reference. All these rivals together are as probable as the set before the data. None if fewer than two trials can
+    have effects.
     """
-    linear, parts = hypothesis.linear, hypothesis.linear.parts[:, hypothesis.best]
-    prior, whole, f = np.diag(linear.precision), parts.sum(axis=0), len(linear.precision)
-    every = np.linalg.inv(whole[:f, :f] + prior)
-    mean, worst = every @ whole[:f, f], 0.0
-    for part in parts:
-        others = np.linalg.inv(whole[:f, :f] - part[:f, :f] + prior)
-        without = others @ (whole[:f, f] - part[:f, f])
-        for row, (index, name, _) in enumerate(hypothesis.coordinates):
-            effect, learnt = hypothesis.effects[index], float(others[row, row] - every[row, row])
-            if name != SIZE or effect.given or learnt <= 0:
-                continue
-            size = effect.values[SIZE] / effect.effect.parameters[SIZE].typical + without[row]
-            own = size + float(mean[row] - without[row]) * others[row, row] / learnt
-            spread = math.sqrt(others[row, row] * every[row, row] / learnt * hypothesis.noise_variance)
-            score = abs(mean[row] - without[row]) / math.sqrt(learnt * hypothesis.noise_variance)
-            if own * np.sign(size) < LACKING_SDS * spread:
-                worst = max(worst, float(score))
-    return worst
+    problem, trials = hypothesis.problem, hypothesis.trials
+    numbers = [number for number, trial in enumerate(trials) if not trial.is_reference]
+    missing = [index for index, effect in enumerate(hypothesis.effects) if not effect.given]
+    if len(numbers) < 2 or not missing:
+        return None
+    found = []
+    for index in missing:
+        effects = tuple(
+            each if other == index else replace(each, given=True) for other, each in enumerate(hypothesis.effects)
+        )
+        for number in numbers:
+            trial = trials[number]
+            without = replace(trial, record=replace(trial.record, role=Role.REFERENCE), shared=None)
+            rivals = (*trials[:number], without, *trials[number + 1 :])
+            rival = hypothesis.again(effects, linearised_trials(problem, effects, rivals, again=True))
+            nats = rival.log_evidence - hypothesis.log_evidence - math.log(len(missing) * len(numbers))
+            found.append(Lack(hypothesis.effects[index].name, str(trial.record.trial), nats))
+    return max(found, key=lambda each: each.nats)

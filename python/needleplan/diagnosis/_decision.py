@@ -7,8 +7,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 
-from scipy.special import ndtri
-
 from needleplan.artifacts import CallRepr
 from needleplan.diagnosis._constants import LARGEST_FAMILY, LIKELY, MOST_EFFECTS
 from needleplan.diagnosis._settings import Settings
@@ -88,8 +86,7 @@ def decide(
     *,
     powered: bool = True,
     at_bound: Mapping[str, str] | None = None,
-    transfer_z: float = 0.0,
-    transfers: int = 1,
+    contradiction: str = "",
     lacks: Sequence[str] = (),
     laws: Mapping[str, float] | None = None,
 ) -> DiagnosisDecision:
@@ -105,15 +102,13 @@ def decide(
         Whether most relevant effects would have been seen.
     at_bound
         Parameter at the end of its range, by effect of the most probable set.
-    transfer_z
-        Largest deviation of a trial that lacks an effect from the others, in standard deviations.
-    transfers
-        Number of deviations among which `transfer_z` is the largest.
+    contradiction
+        Words on a trial that lacks an effect of the most probable set; empty if none does.
     lacks
         Data that are missing and without which nothing is named.
     laws
-        Lead (nats) of each law of the base that differs from the model's. A law competes for each effect that leads by
-        less: such an effect may be what is left of the law.
+        Lead (nats) of each law of the base that differs from the model's. An effect that leads by less than the share
+        of equation (9) of it may be what is left of the law.
 
     Returns
     -------
@@ -136,7 +131,8 @@ def decide(
             sure[name] = sure.get(name, 0.0) + each.probability
     best = max(sets, key=lambda names: sets[names])
     likely = tuple(name for name, value in sure.items() if value >= settings.named)
-    rivals = {name: [law for law, nats in laws.items() if _lead(ranked, name, best) < nats] for name in likely}
+    share = settings.formula_share
+    rivals = {name: [law for law, nats in laws.items() if _lead(ranked, name, best) < share * nats] for name in likely}
     certain = tuple(name for name in likely if not rivals[name])
     nothing = sum(each.probability for each in ranked if not each.names and each.axis is None)
     by_axis: dict[GapAxis, float] = {}
@@ -174,11 +170,8 @@ def decide(
             Verdict.AMBIGUOUS, (), sets[best],
             f"{fits} may be what is left of the base: {', and '.join(beside)} by another law", more, tied,
             other_laws=beside)),
-        (bool(transfer_z > -ndtri(settings.transfer / 2 / max(transfers, 1))), answer(
-            Verdict.AMBIGUOUS, (), sets[best],
-            f"{', '.join(best)}: one trial lacks it, and contradicts the others by {transfer_z:.1f} "
-            f"standard deviations", more,
-            tied)),
+        (bool(contradiction), answer(
+            Verdict.AMBIGUOUS, (), sets[best], f"{', '.join(best)}: {contradiction}", more, tied)),
         (bool(ends), answer(
             Verdict.IMPLAUSIBLE, (), sets[best], f"at the end of its range: {', '.join(ends)}", tied=(best,))),
         (len(set(best)) >= MOST_EFFECTS and (more is not None or set(certain) != set(best)), answer(

@@ -19,11 +19,12 @@ from needleplan.diagnosis._constants import (
     FEWEST_REFERENCES,
     MOST_SAMPLES,
     SLOWEST_HZ,
+    SURE_NATS,
     TOLERANCE_SCALES,
     UNKNOWN_NOISE,
     VISIBLE_SHARE,
 )
-from needleplan.diagnosis._contradiction import transfer_z
+from needleplan.diagnosis._contradiction import strongest_lack
 from needleplan.diagnosis._decision import DiagnosisDecision, Ranked, Verdict, decide
 from needleplan.diagnosis._fit import fit_hypothesis
 from needleplan.diagnosis._hypothesis import Hypothesis
@@ -252,11 +253,19 @@ def answer_of(
     best = most_probable(posterior)
     laws = list(_other_laws(best, settings))
     decision = decide(
-        ranked, settings, powered=_powered(posterior), at_bound=at_bound(best), transfer_z=transfer_z(best),
-        transfers=len(best.names) * len(best.trials), lacks=[str(lack) for lack in checked.lacks],
+        ranked, settings, powered=_powered(posterior), at_bound=at_bound(best),
+        contradiction=_contradiction(best), lacks=[str(lack) for lack in checked.lacks],
         laws={law.words: law.nats for law in laws},
     )  # fmt: skip
     return decision, laws
+
+
+def _contradiction(hypothesis: Hypothesis) -> str:
+    """Return words on a trial that lacks an effect which the others have; empty if no such trial is sure."""
+    lack = strongest_lack(hypothesis)
+    if lack is None or lack.nats < SURE_NATS:
+        return ""
+    return f"trial {lack.trial!r} lacks {lack.effect}, by {lack.nats:.0f} nats"
 
 
 def default_library(model: Model) -> Library:

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from needleplan.diagnosis._components import Components
-from needleplan.diagnosis._constants import FORMULA_SDS, MOST_EFFECTS, STRONG
+from needleplan.diagnosis._constants import MOST_EFFECTS, STRONG
 from needleplan.diagnosis._decision import Names
 from needleplan.diagnosis._evidence import Projected
 from needleplan.diagnosis._hypothesis import Hypothesis
@@ -18,7 +18,7 @@ from needleplan.diagnosis._settings import Settings
 from needleplan.diagnosis.catalogue import CatalogueEntry
 from needleplan.signals import Array
 
-__all__ = ["Posterior", "least_share", "log_prior"]
+__all__ = ["Posterior", "log_prior"]
 
 
 @dataclass(frozen=True)
@@ -56,7 +56,7 @@ class Posterior:
         probable one has no such member. The result also has a remark on each that gains more than `STRONG` nats.
         """
         logs, remarks = dict(self.logs), list[str]()
-        share = least_share(self.problem.settings)
+        share = self.problem.settings.formula_share
         while True:
             best = max(logs, key=lambda key: logs[key])
             gains = {member: logs[best] - _without(logs, best, member) for member in _members(best)}
@@ -91,11 +91,6 @@ def _without(logs: Mapping[tuple[Names, str], float], best: tuple[Names, str], m
     """Return the largest log posterior of the hypotheses that have only members of the best one, and not this one."""
     left = {*_members(best)} - {member}
     return max((value for key, value in logs.items() if {*_members(key)} <= left), default=-math.inf)
-
-
-def least_share(settings: Settings) -> float:
-    """Return the share of another effect's gain (nats) below which an effect may be an error of its formula."""
-    return (FORMULA_SDS * settings.law_along_axis) ** 2
 
 
 def log_prior(settings: Settings, every: int, count: int) -> float:

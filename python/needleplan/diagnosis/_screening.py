@@ -267,8 +267,8 @@ class Screening:
             part = slice(entry.first, entry.last)
             small = self.references[part] <= np.nanmin(self.references[part], initial=np.inf)
             outside[:, part] &= ~(small & (ratio[:, part] < VALID_RATIOS[1]) & (ratio[:, part] > 0))  # nearly linear
-            if entry.effect.is_lag:
-                outside[:, entry.first : entry.last] |= amplitude[:, entry.first : entry.last] < self._least_lag_s
+            if least := self._least(entry.effect):
+                outside[:, part] |= amplitude[:, part] < least
         return np.where(outside | (curvature <= 0), IMPOSSIBLE, gains)
 
     @property
@@ -279,6 +279,12 @@ class Screening:
         sampled_s = max(motion.sampled_s if isinstance(motion, AveragedMotion) else 0.0 for motion in motions)
         return UNUSUAL_LAG_FACTOR * usual_s + sampled_s / 2
 
+    def _least(self, effect: Effect) -> float:
+        """Return the amplitude below which an effect is another value of a parameter of the base; 0 without a limit."""
+        if effect.is_lag:
+            return self._least_lag_s
+        return float(self.problem.calibration.given.values()[effect.imitated]) if effect.imitated else 0.0
+
     def absorbed(self, effect: Effect, parent: Hypothesis) -> list[float]:
         """Return start amplitudes (s) of a delay effect that the lag of the base imitates; empty for other effects."""
         usual_s = channel_description(self.problem.calibration.given.channel).usual_lag_s
@@ -288,8 +294,8 @@ class Screening:
 
     def _start(self, entry: CatalogueEntry, index: int, amplitude: float) -> FittedEffect:
         bounds = entry.bounds()
-        if entry.effect.is_lag:
-            bounds[SIZE] = (self._least_lag_s, entry.effect.parameters[SIZE].upper)
+        if least := self._least(entry.effect):
+            bounds[SIZE] = (least, entry.effect.parameters[SIZE].upper)
         sizes = [values[SIZE] for values in entry.grid if SIZE in values]
         if entry.effect.family is Family.DRIVE and sizes:  # a smaller play is below the resolution of the depth
             bounds[SIZE] = (min(sizes) / GRID_MARGIN, entry.effect.parameters[SIZE].upper)
@@ -302,13 +308,14 @@ class Screening:
         """Return the same phenomenon with angles that all trials share; None if they do already, or no effect has them.
 
         Such an effect is a breath with a phase of its own in each trial. The angles are the circular means of all
-        trials. If they must be `agreeing`, the result is None if a trial differs by more than two standard deviations
-        of the phase of a trial, which the tolerance of the shared effect holds.
+        trials but references, which show none. If they must be `agreeing`, the result is None if a trial differs by
+        more than two standard deviations of the phase of a trial, which the tolerance of the shared effect holds.
         """
         found = [entry for entry in self.entries if entry.excludes(each.effect) and not entry.effect.by_trial]
         if not each.effect.by_trial or not found:
             return None
-        turns = {name: np.exp(1j * np.array([own[name] for own in each.own])) for name in each.effect.by_trial}
+        shown = [own for own, trial in zip(each.own, self.problem.trials, strict=True) if not trial.is_reference]
+        turns = {name: np.exp(1j * np.array([own[name] for own in shown])) for name in each.effect.by_trial}
         if agreeing and any(np.abs(np.angle(own / own.mean())).max() > 2 * CLOCK_RAD for own in turns.values()):
             return None
         angles = {name: float(np.angle(own.mean())) for name, own in turns.items()}

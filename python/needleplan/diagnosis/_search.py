@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -33,7 +33,7 @@ from needleplan.diagnosis._constants import (
 from needleplan.diagnosis._decision import Names
 from needleplan.diagnosis._fit import fit_hypothesis, linearised_trials, start_point
 from needleplan.diagnosis._hypothesis import Hypothesis
-from needleplan.diagnosis._posterior import Posterior, least_share
+from needleplan.diagnosis._posterior import Posterior
 from needleplan.diagnosis._problem import Problem
 from needleplan.diagnosis._refinement import contenders
 from needleplan.diagnosis._screening import Child, Screening
@@ -56,6 +56,14 @@ class _Search:
     extended: set[Names] = field(default_factory=set)
     unexplained: float = -math.inf
     """Log posterior of the empty set with its best component: sets of effects far below it are not fitted."""
+
+    def may_explain(self, names: Names) -> bool:
+        """Return whether a set with further effects may be as probable as the empty set with its best component.
+
+        Further effects seldom gain more than the first ones, so the set gains at most `MOST_EFFECTS` times as much.
+        """
+        gain = self.scores[names] - self.scores[()]
+        return self.scores[()] + MOST_EFFECTS * gain > self.unexplained
 
     def repeats(self, names: Names) -> bool:
         """Return whether a set contains an effect that may occur several times."""
@@ -192,7 +200,7 @@ class _Search:
             for member in {*parent} - {further}
         ]
         hope = max(child.hope, child.also.hope if child.also else -math.inf)
-        return bool(gains) and hope - score < least_share(self.problem.settings) * max(gains)
+        return bool(gains) and hope - score < self.problem.settings.formula_share * max(gains)
 
     def _try(self, child: Child) -> None:
         """Fit a set with one more effect, and its subsets if it becomes the best.
@@ -294,23 +302,26 @@ def search(
     state = _Search(problem, Screening.of(problem, library))
     state.add(empty)
     alone = components.evidence(empty)
-    state.unexplained = state.scores[()] + _log_component(problem, components) + max(alone.log_gains.values())
+    refitted = _refitted_component(state, components, alone)
+    screened = state.scores[()] + _log_component(problem, components) + max(alone.log_gains.values())
+    state.unexplained = max([screened, *refitted.values()])
     state.extend(empty, SINGLES)
     for size in range(1, MOST_EFFECTS + REPETITIONS):
         sets = [names for names in state.fitted if len(names) == size and (size < MOST_EFFECTS or state.repeats(names))]
         parents = sorted(sets, key=lambda names: -state.scores[names])
         for rank, names in enumerate(parents[:PARENTS]):
-            if state.fitted[names].log_evidence < empty.log_evidence + LED:
+            if state.fitted[names].log_evidence < empty.log_evidence + LED or not state.may_explain(names):
                 continue
             always = 1 if state.explained or size > 1 else 2
             margin = FAR if size == 1 else HOPELESS
             if rank < always or state.scores[names] > state.scores[parents[0]] - margin:
                 state.extend(state.fitted[names], CHILDREN)
-    while state.best not in state.extended:  # a subset of a set that was extended has become the best
+    # a subset of a set that was extended may have become the best
+    while state.best not in state.extended and state.may_explain(state.best):
         state.extend(state.fitted[state.best], CHILDREN)
     if Law.DEPTH not in empty.groups:
         state.exchange()
-    return _with_components(state, components, alone)
+    return _with_components(state, components, alone, refitted)
 
 
 def _log_component(problem: Problem, components: Components) -> float:
@@ -318,10 +329,13 @@ def _log_component(problem: Problem, components: Components) -> float:
     return math.log(problem.settings.further_cause / len(components.components))
 
 
-def _with_components(state: _Search, components: Components, alone: ComponentEvidence) -> Posterior:
+def _with_components(
+    state: _Search, components: Components, alone: ComponentEvidence, refitted: Mapping[str, float]
+) -> Posterior:
     """Add the hypotheses with a component, and return the normalised posterior.
 
-    `alone` is the evidence of the components for the empty set that was fitted first.
+    `alone` is the evidence of the components for the empty set that was fitted first, and `refitted` the log posterior
+    of this set with the strongest one.
     """
     problem, screening = state.problem, state.screening
     logs: dict[tuple[Names, str], float] = {}
@@ -337,9 +351,10 @@ def _with_components(state: _Search, components: Components, alone: ComponentEvi
         evidence = alone if hypothesis is alone.hypothesis else components.evidence(hypothesis)
         for name, gain in evidence.log_gains.items():
             logs[names, name] = state.scores[names] + _log_component(problem, components) + gain
-        lost = state.explained and max(logs[names, name] for name in evidence.log_gains) < best - FAR
-        if names in near[:1] or (not names and not lost):
-            _refit_component(state, components, evidence, logs)
+        again = names in near[:1] and evidence is not alone
+        fits = [*([] if names else [refitted]), *([_refitted_component(state, components, evidence)] if again else [])]
+        for name, score in [entry for fit in fits for entry in fit.items()]:
+            logs[names, name] = max(logs.get((names, name), -math.inf), score)
     total, empty = float(logsumexp(list(logs.values()))), state.fitted[()]
     return Posterior(
         problem, screening.entries, components, state.fitted, {key: value - total for key, value in logs.items()},
@@ -347,22 +362,18 @@ def _with_components(state: _Search, components: Components, alone: ComponentEvi
     )  # fmt: skip
 
 
-def _refit_component(
-    state: _Search, components: Components, evidence: ComponentEvidence, logs: dict[tuple[Names, str], float]
-) -> None:
-    """Refit a hypothesis together with its strongest component, and raise the log posterior of the pair in `logs`.
+def _refitted_component(state: _Search, components: Components, evidence: ComponentEvidence) -> dict[str, float]:
+    """Return the log posterior of a hypothesis that is fitted together with its strongest component, by its name.
 
-    Until then, the entry in `logs` is the estimate with the base model of the hypothesis without a component. Nothing
-    changes if no component gains `STRONG` nats. `fit_hypothesis` gives the evidence at the best place and scale of the
-    component; `offset` converts it to the average over places and scales.
+    Without this fit, the log posterior is the estimate with the base model of the hypothesis without a component. The
+    result is empty if no component gains `STRONG` nats. `fit_hypothesis` gives the evidence at the best place and scale
+    of the component; `offset` converts it to the average over places and scales.
     """
     problem, hypothesis = state.problem, evidence.hypothesis
     strongest = components.strongest(evidence, STRONG)
     if strongest is None:
-        return
+        return {}
     extra, offset = strongest
-    names = tuple(sorted(hypothesis.names))
     fitted = fit_hypothesis(problem, hypothesis.effects, hypothesis.trials, extra, like=hypothesis)
-    prior = _log_component(problem, components) + state.screening.log_prior(len(names))
-    score = prior + (fitted.log_evidence + offset)
-    logs[names, extra.name] = max(logs.get((names, extra.name), -math.inf), score)
+    prior = _log_component(problem, components) + state.screening.log_prior(len(hypothesis.names))
+    return {extra.name: prior + fitted.log_evidence + offset}

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field, fields
 
 from needleplan.artifacts import CallRepr
 from needleplan.config import ConfigTable, Number, ruled
+from needleplan.diagnosis._constants import FORMULA_SDS
 from needleplan.errors import DataError
 
 __all__ = ["Setting", "Settings"]
@@ -83,10 +84,6 @@ class Settings(ConfigTable, key="Settings", error=DataError):
         "marginal posterior from which an effect is named, and posterior from which nothing is missing",
         "one wrong answer in ten at the limit",
     )
-    transfer: float = _constant(
-        0.001, "probability", "two-sided limit of leave-one-motion-out, for all trials and effects together",
-        "one true set of effects in a thousand exceeds it",
-    )  # fmt: skip
     rate_hz: float = _constant(
         60.0,
         "Hz",
@@ -105,6 +102,11 @@ class Settings(ConfigTable, key="Settings", error=DataError):
         0.5, "noise RMS", "deviation of such a law from which a fit computes sensitivities beside it",
         "smaller deviations change the sensitivities by less than the noise",
     )  # fmt: skip
+
+    @property
+    def formula_share(self) -> float:
+        """Share of another effect's gain (nats) below which an effect may be an error of its formula, equation (9)."""
+        return (FORMULA_SDS * self.law_along_axis) ** 2
 
     def described(self) -> tuple[Setting, ...]:
         """Return every constant with unit, effect and reason."""

@@ -108,6 +108,9 @@ class Effect(ABC):
     is_lag: bool = False
     """Whether the effect delays the measurement, as the calibrated sensor lag does."""
 
+    imitated: str = ""
+    """Name of a parameter of the base model. With an amplitude below it, the effect imitates another value of it."""
+
     further: bool = False
     """Whether the effect is left out of the default library; `effects_of(channel, further=True)` includes it."""
 

@@ -167,6 +167,7 @@ FORCE_EFFECTS: tuple[Effect, ...] = (
         lambda reach: {SIZE: np.geomspace(0.03, 6.0, 10), "share": (0.3, 1.0), "tip": (0.0, 1.0)},  # noqa: ARG005
         wrapper=SlowTurning,
         beside=(ShaftAndTip,),
+        imitated="presliding_mm",
     ),
     TermEffect(
         "relaxation", "force that relaxes at rest", Family.TISSUE, Enters.SHAFT,

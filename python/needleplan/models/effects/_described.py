@@ -52,6 +52,7 @@ class _Described(CallRepr, Effect):
     channel: Channel = Channel.FORCE
     repeats: bool = False
     is_lag: bool = False
+    imitated: str = ""
     further: bool = False
     by_trial: tuple[str, ...] = ()
     beside: tuple[type[Model], ...] = ()
