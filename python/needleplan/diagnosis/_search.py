@@ -123,18 +123,23 @@ class _Search:
             points = [start_point(problem, [*effects, one], base, like=parent) for one in starts for base in bases]
             best = max(points, key=lambda point: point.log_evidence)  # a step of a delay is far from linear
             return fit_hypothesis(problem, best.effects, best.trials, least=least, like=parent)
-        start = self._best_start(parent, contenders(starts, parent), trials)
-        fitted = fit_hypothesis(problem, [*effects, start], trials, least=least, like=parent, held=child.held)
+        first, *others = self._by_hope(parent, contenders(starts, parent), trials)
+        fitted = fit_hypothesis(problem, [*effects, first[1]], trials, least=least, like=parent, held=child.held)
+        for hope, start in others[: MORE_SEARCHES - 1]:
+            if hope > fitted.log_evidence:  # a start that promises more than the fit reached
+                other = fit_hypothesis(problem, [*effects, start], trials, least=least, like=parent, held=child.held)
+                fitted = max(fitted, other, key=lambda fit: fit.log_evidence)
         return self._best_optimum(fitted, child, least) if len(starts) > 1 else fitted
 
-    def _best_start(
+    def _by_hope(
         self, parent: Hypothesis, starts: Sequence[FittedEffect], trials: Sequence[CalibratedTrial]
-    ) -> FittedEffect:
-        """Return the start with the largest evidence that a step of the whole linear model promises."""
+    ) -> list[tuple[float, FittedEffect]]:
+        """Return the starts with the evidence that a step of the whole linear model promises, the largest first."""
         if len(starts) == 1:
-            return starts[0]
+            return [(math.inf, starts[0])]
         points = [start_point(self.problem, [*parent.effects, start], trials, like=parent) for start in starts]
-        return starts[int(np.argmax([point.hope for point in points]))]
+        hopes = [point.hope for point in points]
+        return [(hopes[index], starts[index]) for index in np.argsort(hopes)[::-1].tolist()]
 
     def _best_optimum(self, fitted: Hypothesis, child: Child, least: float) -> Hypothesis:
         """Return the fit of an effect with local optima, or a better one from another start.
@@ -148,7 +153,7 @@ class _Search:
                 break
             problem, own = fitted.problem, fitted.effects[-1]
             without = fitted.again(fitted.effects[:-1], linearised_trials(problem, fitted.effects[:-1], fitted.trials))
-            start = self._best_start(without, contenders([own, *child.starts], without), without.trials)
+            _, start = self._by_hope(without, contenders([own, *child.starts], without), without.trials)[0]
             if _same_point(start, own):
                 break
             effects = [*fitted.effects[:-1], start]
