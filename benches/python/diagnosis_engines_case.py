@@ -27,6 +27,8 @@ GENERATORS = ("first", "second", "third")
 # Share of each stratum in a draw from the first generator.
 _SHARES = {"null": 0.2, "single": 0.35, "pair": 0.25, "outside": 0.2}
 _KINDS = {"none": "null"}
+# Effects that the second generator has outside of the documented library, and the library has under another name.
+_SAME = {"rate_cutting": "cutting_speed"}
 # Effects that the base model absorbs: no engine can name them.
 _ABSORBED = ("gain_error", "ageing")
 # Parameters that mean the same in the library and in the second generator, beside those of SUBJECTS.
@@ -212,6 +214,10 @@ class EngineBench:
         base, recordings, hidden, axes = case.make()
         if self._library is None or self._library.nominal != base:
             self._library = TimedLibrary(default_library(base).effects, base)
+        for each in hidden:
+            each["name"] = _SAME.get(each["name"], each["name"])
+        if case.facts["stratum"] == "outside" and {each["name"] for each in hidden} <= {*_SAME.values()}:
+            case.facts["stratum"] = "single"
         if len(hidden) == 1 and hidden[0]["name"] in _ABSORBED and case.facts["stratum"] == "single":
             case.facts["stratum"] = "absorbed"
         line: Line = {"key": case.key, **case.facts, "truth": hidden, "axes": axes}

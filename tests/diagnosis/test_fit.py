@@ -1,6 +1,6 @@
 """Fits come near the optimum where a missing effect or other laws distort the base."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -8,11 +8,12 @@ import pytest
 from needleplan.diagnosis import Library, Settings, _fit, diagnose
 from needleplan.diagnosis._diagnose import _best_sampling
 from needleplan.diagnosis._hypothesis import nuisances
+from needleplan.diagnosis._screening import Screening
 from needleplan.diagnosis._tangents import Coordinate
 from needleplan.diagnosis.catalogue import FittedEffect
 from needleplan.models import ShaftAndTip
 from needleplan.models.effects import effect_named
-from needleplan.signals import Array, Motion
+from needleplan.signals import Array, Motion, Role
 from tests.diagnosis.trials import BASE, recordings
 
 
@@ -89,3 +90,17 @@ def test_the_variance_of_an_amplitude_by_its_law_is_that_of_draws_of_the_law() -
     wanted = np.mean(np.sum(deviations**2, axis=0)) / (per_unit @ per_unit)
     assert here.law_variance(0, h) == pytest.approx(wanted, rel=0.15)
     assert here.law_variance(0, h) < (0.2 * 0.01 / effect_named("drift").parameters["size"].typical) ** 2
+
+
+@pytest.mark.parametrize("name", ["bristle", "tissue_motion"])
+def test_below_the_presliding_length_an_effect_is_another_presliding_length_unless_references_show_it(
+    name: str,
+) -> None:
+    _, empty = _best_sampling(BASE, recordings(), Settings())
+    screening = Screening.of(empty.problem, Library([effect_named(name)], BASE))
+    *shown, last = empty.problem.trials
+    reference = replace(last, record=replace(last.record, role=Role.REFERENCE))
+    beside = replace(screening, problem=replace(empty.problem, trials=(*shown, reference)))
+    assert [each._start(each.entries[0], 0, 0.01).bounds.get("size") for each in (screening, beside)] == [
+        (BASE.presliding_mm, effect_named(name).parameters["size"].upper), None
+    ]  # fmt: skip

@@ -107,8 +107,8 @@ def decide(
     lacks
         Data that are missing and without which nothing is named.
     laws
-        Lead (nats) of each law of the base that differs from the model's. An effect that leads by less than the share
-        of equation (9) of it may be what is left of the law.
+        Lead (nats) of each law of the base that differs from the model's. A law competes for each effect that leads by
+        less: such an effect may be what is left of the law.
 
     Returns
     -------
@@ -131,8 +131,7 @@ def decide(
             sure[name] = sure.get(name, 0.0) + each.probability
     best = max(sets, key=lambda names: sets[names])
     likely = tuple(name for name, value in sure.items() if value >= settings.named)
-    share = settings.formula_share
-    rivals = {name: [law for law, nats in laws.items() if _lead(ranked, name, best) < share * nats] for name in likely}
+    rivals = {name: [law for law, nats in laws.items() if _lead(ranked, name, best) < nats] for name in likely}
     certain = tuple(name for name in likely if not rivals[name])
     nothing = sum(each.probability for each in ranked if not each.names and each.axis is None)
     by_axis: dict[GapAxis, float] = {}

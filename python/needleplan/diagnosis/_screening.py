@@ -280,10 +280,14 @@ class Screening:
         return UNUSUAL_LAG_FACTOR * usual_s + sampled_s / 2
 
     def _least(self, effect: Effect) -> float:
-        """Return the amplitude below which an effect is another value of a parameter of the base; 0 without a limit."""
+        """Return the amplitude below which an effect is another value of a parameter of the base; 0 without a limit.
+
+        References show this value, so that beside them only a delay is limited, which the lag of each trial replaces.
+        """
         if effect.is_lag:
             return self._least_lag_s
-        return float(self.problem.calibration.given.values()[effect.imitated]) if effect.imitated else 0.0
+        shown = any(trial.is_reference for trial in self.problem.trials)
+        return float(self.problem.calibration.given.values()[effect.imitated]) if effect.imitated and not shown else 0.0
 
     def absorbed(self, effect: Effect, parent: Hypothesis) -> list[float]:
         """Return start amplitudes (s) of a delay effect that the lag of the base imitates; empty for other effects."""

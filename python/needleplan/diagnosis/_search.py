@@ -55,15 +55,19 @@ class _Search:
     scores: dict[Names, float] = field(default_factory=dict)
     extended: set[Names] = field(default_factory=set)
     unexplained: float = -math.inf
-    """Log posterior of the empty set with its best component: sets of effects far below it are not fitted."""
+    """Screened log posterior of the empty set with its best component: sets of effects far below it are not fitted."""
+
+    refitted: float = -math.inf
+    """The same after a fit: sets that cannot reach it are not extended."""
 
     def may_explain(self, names: Names) -> bool:
         """Return whether a set with further effects may be as probable as the empty set with its best component.
 
-        Further effects seldom gain more than the first ones, so the set gains at most `MOST_EFFECTS` times as much.
+        Further effects seldom gain more than the first ones, so that a set gains at most as many times as much as a set
+        may have effects.
         """
-        gain = self.scores[names] - self.scores[()]
-        return self.scores[()] + MOST_EFFECTS * gain > self.unexplained
+        gain = self.fitted[names].log_evidence - self.fitted[()].log_evidence  # with what further steps promise
+        return self.scores[()] + (MOST_EFFECTS + REPETITIONS) * gain > self.refitted
 
     def repeats(self, names: Names) -> bool:
         """Return whether a set contains an effect that may occur several times."""
@@ -123,8 +127,8 @@ class _Search:
             points = [start_point(problem, [*effects, one], base, like=parent) for one in starts for base in bases]
             best = max(points, key=lambda point: point.log_evidence)  # a step of a delay is far from linear
             return fit_hypothesis(problem, best.effects, best.trials, least=least, like=parent)
-        first, *others = self._by_hope(parent, contenders(starts, parent), trials)
-        fitted = fit_hypothesis(problem, [*effects, first[1]], trials, least=least, like=parent, held=child.held)
+        (_, start), *others = self._by_hope(parent, contenders(starts, parent), trials)
+        fitted = fit_hypothesis(problem, [*effects, start], trials, least=least, like=parent, held=child.held)
         for hope, start in others[: MORE_SEARCHES - 1]:
             if hope > fitted.log_evidence:  # a start that promises more than the fit reached
                 other = fit_hypothesis(problem, [*effects, start], trials, least=least, like=parent, held=child.held)
@@ -308,8 +312,8 @@ def search(
     state.add(empty)
     alone = components.evidence(empty)
     refitted = _refitted_component(state, components, alone)
-    screened = state.scores[()] + _log_component(problem, components) + max(alone.log_gains.values())
-    state.unexplained = max([screened, *refitted.values()])
+    state.unexplained = state.scores[()] + _log_component(problem, components) + max(alone.log_gains.values())
+    state.refitted = max([state.unexplained, *refitted.values()])
     state.extend(empty, SINGLES)
     for size in range(1, MOST_EFFECTS + REPETITIONS):
         sets = [names for names in state.fitted if len(names) == size and (size < MOST_EFFECTS or state.repeats(names))]

@@ -185,6 +185,7 @@ FORCE_EFFECTS: tuple[Effect, ...] = (
         lambda reach: {SIZE: np.geomspace(0.05, 4.8, 6), "lag_s": (0.02, 0.08, 0.25, 0.8), "growth": (0.0, 1.0)},  # noqa: ARG005
         wrapper=GivingTissue,
         beside=(ShaftAndTip, SlowTurning),
+        imitated="presliding_mm",
     ),
     TermEffect(
         "path_damage", "path that wears with sliding", Family.TISSUE, Enters.SHAFT,
