@@ -171,6 +171,10 @@ def action_values(mdp: Mdp, values: Floats) -> Floats:
     return by_action(mdp, of_steps, problem.rotation)
 
 
+class NotConverged(RuntimeError):
+    """The iteration did not converge within its sweeps."""
+
+
 def success_of(mdp: Mdp, policy: NDArray[np.uint8], residual: float = 1e-10, max_sweeps: int = 100_000) -> Floats:
     """Probability of reaching the target under any policy: the smallest solution, iterated up from zero."""
     success = with_absorbing(mdp, np.zeros(policy.shape), 0.0, 1.0)
@@ -185,7 +189,7 @@ def success_of(mdp: Mdp, policy: NDArray[np.uint8], residual: float = 1e-10, max
         change, success = float(np.max(np.abs(after - success))), after
         if change <= residual:
             return success
-    raise RuntimeError(f"success did not converge: {change}")
+    raise NotConverged(f"success after {max_sweeps} sweeps: {change}")
 
 
 def may_end(mdp: Mdp) -> NDArray[np.bool_]:
@@ -223,7 +227,7 @@ def solve(mdp: Mdp, residual: float = 1e-10, max_sweeps: int = 100_000) -> Solut
     change, sweeps = np.inf, 0
     while change > residual:
         if sweeps == max_sweeps:
-            raise RuntimeError(f"value iteration did not converge: {change}")
+            raise NotConverged(f"values after {max_sweeps} sweeps: {change}")
         q = np.where(forbidden, np.inf, action_values(mdp, values))
         least = reduce(np.minimum, np.moveaxis(q, -1, 0))  # q.min(axis=-1), which takes ten times as long
         after = with_absorbing(mdp, np.where(finite, least, 0.0), obstacle, 0.0)
@@ -233,4 +237,4 @@ def solve(mdp: Mdp, residual: float = 1e-10, max_sweeps: int = 100_000) -> Solut
     gap, ordered = np.zeros(values.shape), np.sort(q, axis=-1)
     np.subtract(ordered[..., 1], ordered[..., 0], out=gap, where=free & finite)
     values = np.where(finite, values, np.inf)
-    return Solution(values, policy, gap, success_of(mdp, policy), q, change, sweeps)
+    return Solution(values, policy, gap, success_of(mdp, policy, max_sweeps=max_sweeps), q, change, sweeps)
