@@ -1,11 +1,12 @@
 """The second edition from recordings to the answer."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from needleplan.diagnosis import Diagnosis, Library, Verdict, diagnose
+from needleplan.diagnosis import Diagnosis, Library, Verdict, _diagnose, diagnose
 from needleplan.diagnosis._constants import TOLERANCE_SCALES
 from needleplan.diagnosis._contradiction import strongest_lack
 from needleplan.models.effects import AddedEffect, AugmentedModel, effect_named
@@ -49,6 +50,16 @@ def test_the_effect_closes_the_held_out_gap_and_no_trial_contradicts_it(viscous)
     lack = strongest_lack(viscous.named)
     assert lack is not None
     assert lack.nats < 0
+
+
+@pytest.mark.parametrize(("share", "names"), [(0.2, ()), (0.5, ("viscous",)), (math.nan, ("viscous",))])
+def test_effects_that_leave_the_held_out_gap_are_not_named(
+    viscous: Diagnosis, share: float, names: tuple[str, ...], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(_diagnose, "closed_share", lambda *_: share)
+    decision, _ = _diagnose.answer_of(viscous.posterior, viscous.checked, viscous.settings)
+    assert decision.names == names
+    assert names or decision.because == "viscous: closes 20% of the gap in the held-out trials only"
 
 
 def test_probabilities_sum_to_one_and_every_set_has_them(viscous):

@@ -1,15 +1,18 @@
-"""Trials that lack an effect which the others have."""
+"""What single trials say against a set of effects: one lacks an effect, or the held-out ones keep their gap."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
 
+import numpy as np
+
+from needleplan.diagnosis._evidence import squared_residuals
 from needleplan.diagnosis._fit import linearised_trials
 from needleplan.diagnosis._hypothesis import Hypothesis
 from needleplan.signals import Role
 
-__all__ = ["Lack", "strongest_lack"]
+__all__ = ["Lack", "closed_share", "strongest_lack"]
 
 
 @dataclass(frozen=True)
@@ -46,3 +49,38 @@ def strongest_lack(hypothesis: Hypothesis) -> Lack | None:
             nats = rival.log_evidence - hypothesis.log_evidence - math.log(len(missing) * len(numbers))
             found.append(Lack(hypothesis.effects[index].name, str(trial.record.trial), nats))
     return max(found, key=lambda each: each.nats)
+
+
+def closed_share(named: Hypothesis, nothing: Hypothesis, training: int, held_out: int) -> float:
+    """Return the share of the held-out residual energy above the noise that the effects of a set remove; at most 1.
+
+    The energy is the whitened squared residual of the held-out trials, which follow the training trials. The share is
+    (before - after) / (before - floor): `before` is the energy without effects, `after` the energy with the effects
+    fitted to the training trials. In both energies the base model has no tolerances, so that the tolerances add nothing
+    to the share. `floor` is the number of readings, or the energy of the set with its tolerances if that energy is
+    smaller.
+
+    Parameters
+    ----------
+    named, nothing : Hypothesis
+        The set, and the empty set.
+    training, held_out : int
+        Numbers of trials.
+
+    Returns
+    -------
+    float
+        NaN if the set is empty, no trial is held out, or `before` is not above `floor`.
+    """
+    end = training + held_out
+    if not named.names or not held_out:
+        return math.nan
+    level, linear = named.best, named.linear  # index of the heterogeneity; f: effects, then tolerances
+    normal, prior, count = linear.parts[:, level], np.diag(linear.precision), len(named.coordinates)
+    trained, tested = normal[:training].sum(axis=0), normal[training:end].sum(axis=0)
+    fitted = np.linalg.solve(trained[:-1, :-1] + prior, trained[:-1, -1])
+    fitted[count:] = 0.0  # no tolerances of the base model
+    before = float(nothing.linear.parts[training:end, level].sum(axis=0)[-1, -1])
+    after, smallest = (float(squared_residuals(tested, f)) for f in (fitted, linear.mean[level]))
+    floor = min(sum(trial.readings for trial in named.trials[training:end]), smallest)
+    return float(min((before - after) / (before - floor), 1.0)) if before > floor else math.nan

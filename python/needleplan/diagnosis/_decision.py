@@ -103,7 +103,7 @@ def decide(
     at_bound
         Parameter at the end of its range, by effect of the most probable set.
     contradiction
-        Words on a trial that lacks an effect of the most probable set; empty if none does.
+        Words on what single trials say against the most probable set; empty if they say nothing.
     lacks
         Data that are missing and without which nothing is named.
     laws

@@ -12,8 +12,8 @@ import numpy as np
 from needleplan.artifacts import ShortRepr, digest
 from needleplan.diagnosis._blocks import TISSUE_KINDS
 from needleplan.diagnosis._budget import GapBudget, GapFinding, OtherLaw, OtherParameter, findings_of, gap_budget
+from needleplan.diagnosis._contradiction import closed_share
 from needleplan.diagnosis._decision import DiagnosisDecision, Verdict
-from needleplan.diagnosis._evidence import squared_residuals
 from needleplan.diagnosis._gap import Curves, GapPart, curves_along, gap_parts
 from needleplan.diagnosis._hypothesis import Hypothesis
 from needleplan.diagnosis._posterior import Posterior
@@ -278,25 +278,11 @@ class Diagnosis(ShortRepr):
     def shrink(self) -> float:
         """Share of the held-out residual energy above the noise that the named effects remove; at most 1.
 
-        The energy is the whitened squared residual of the held-out trials. The share is (before - after) / (before -
-        floor): `before` is the energy without effects, `after` the energy with the effects fitted to the training
-        trials. In both energies the base model has no tolerances, so that the tolerances add nothing to the share.
-        `floor` is the number of readings, or the energy of the most probable set with its tolerances if that energy is
-        smaller. The share is NaN if no effect is named, no trial is held out, or `before` is not above `floor`.
+        `closed_share` defines it. The share is NaN if no effect is named, no trial is held out, or the residual without
+        effects is not above the noise.
         """
-        best, training = self.named, len(self.calibration.training)
-        end = training + len(self.calibration.held_out)
-        if not best.names or end == training:
-            return math.nan
-        level, linear = best.best, best.linear  # index of the heterogeneity; f: effects, then tolerances
-        normal, prior, count = linear.parts[:, level], np.diag(linear.precision), len(best.coordinates)
-        trained, held_out = normal[:training].sum(axis=0), normal[training:end].sum(axis=0)
-        fitted = np.linalg.solve(trained[:-1, :-1] + prior, trained[:-1, -1])
-        fitted[count:] = 0.0  # no tolerances of the base model
-        before = float(self.nothing.linear.parts[training:end, level].sum(axis=0)[-1, -1])
-        after, smallest = (float(squared_residuals(held_out, f)) for f in (fitted, linear.mean[level]))
-        floor = min(sum(trial.readings for trial in best.trials[training:end]), smallest)
-        return float(min((before - after) / (before - floor), 1.0)) if before > floor else math.nan
+        trials = len(self.calibration.training), len(self.calibration.held_out)
+        return closed_share(self.named, self.nothing, *trials)
 
     @cached_property
     def detection_limits(self) -> tuple[DetectionLimit, ...]:
