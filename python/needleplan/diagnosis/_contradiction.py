@@ -28,8 +28,8 @@ def strongest_lack(hypothesis: Hypothesis) -> Lack | None:
     """Return the trial and the effect with the largest odds that this trial lacks what the others have.
 
     The rival of a set has the same effects, laws and base, with the output of one effect zero in one trial, as in a
-    reference. All these rivals together are as probable as the set before the data. None if fewer than two trials can
-    have effects.
+    reference. All these rivals together are as probable as the set before the data. None if no effect is in several
+    trials.
     """
     problem, trials = hypothesis.problem, hypothesis.trials
     numbers = [number for number, trial in enumerate(trials) if not trial.is_reference]
@@ -41,14 +41,17 @@ def strongest_lack(hypothesis: Hypothesis) -> Lack | None:
         effects = tuple(
             each if other == index else replace(each, given=True) for other, each in enumerate(hypothesis.effects)
         )
+        energies = [float(np.sum(np.square(own[index]))) for own in hypothesis.outputs]
         for number in numbers:
+            if energies[number] >= (1 - 1e-9) * sum(energies):  # no other trial has it
+                continue
             trial = trials[number]
             without = replace(trial, record=replace(trial.record, role=Role.REFERENCE), shared=None)
             rivals = (*trials[:number], without, *trials[number + 1 :])
             rival = hypothesis.again(effects, linearised_trials(problem, effects, rivals, again=True))
             nats = rival.log_evidence - hypothesis.log_evidence - math.log(len(missing) * len(numbers))
             found.append(Lack(hypothesis.effects[index].name, str(trial.record.trial), nats))
-    return max(found, key=lambda each: each.nats)
+    return max(found, key=lambda each: each.nats, default=None)
 
 
 def closed_share(named: Hypothesis, nothing: Hypothesis, training: int, held_out: int) -> float:
