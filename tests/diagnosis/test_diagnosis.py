@@ -6,9 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from needleplan.diagnosis import Diagnosis, Library, Verdict, _diagnose, diagnose
+from needleplan.diagnosis import Diagnosis, Library, Verdict, _contradiction, _diagnose, diagnose
 from needleplan.diagnosis._constants import TOLERANCE_SCALES
-from needleplan.diagnosis._contradiction import strongest_lack
+from needleplan.diagnosis._contradiction import strongest_absence
 from needleplan.models.effects import AddedEffect, AugmentedModel, effect_named
 from needleplan.models.friction import BlendedReversal
 from needleplan.signals import Record, Role, averaged_record
@@ -31,7 +31,7 @@ def test_a_trial_may_have_less_of_an_effect_but_not_none(share, verdict):
     )
     found = diagnose(BASE, [some[0], other[1], *some[2:]], library=FEW)
     assert found.verdict is verdict
-    lack = strongest_lack(found.posterior.hypotheses[("viscous",)])
+    lack = strongest_absence(found.posterior.hypotheses[("viscous",)])
     assert lack is not None
     assert (lack.effect, lack.nats > 0) == ("viscous", share == 0)
     assert share > 0 or lack.trial == "trial 1"
@@ -47,7 +47,7 @@ def test_a_hidden_effect_is_named_with_an_interval_that_holds_it(viscous):
 
 def test_the_effect_closes_the_held_out_gap_and_no_trial_contradicts_it(viscous):
     assert 0.9 < viscous.shrink < 1
-    lack = strongest_lack(viscous.named)
+    lack = strongest_absence(viscous.named)
     assert lack is not None
     assert lack.nats < 0
 
@@ -56,7 +56,7 @@ def test_the_effect_closes_the_held_out_gap_and_no_trial_contradicts_it(viscous)
 def test_effects_that_leave_the_held_out_gap_are_not_named(
     viscous: Diagnosis, share: float, names: tuple[str, ...], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(_diagnose, "closed_share", lambda *_: share)
+    monkeypatch.setattr(_contradiction, "closed_share", lambda *_: share)
     decision, _ = _diagnose.answer_of(viscous.posterior, viscous.checked, viscous.settings)
     assert decision.names == names
     assert names or decision.because == "viscous: closes 20% of the gap in the held-out trials only"

@@ -7,16 +7,17 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from needleplan.diagnosis._constants import LEAST_CLOSED, SURE_NATS
 from needleplan.diagnosis._evidence import squared_residuals
 from needleplan.diagnosis._fit import linearised_trials
 from needleplan.diagnosis._hypothesis import Hypothesis
 from needleplan.signals import Role
 
-__all__ = ["Lack", "closed_share", "strongest_lack"]
+__all__ = ["Absence", "closed_share", "contradiction", "strongest_absence"]
 
 
 @dataclass(frozen=True)
-class Lack:
+class Absence:
     """A trial without an effect, and the log odds (nats) of this against the effect in all trials."""
 
     effect: str
@@ -24,7 +25,20 @@ class Lack:
     nats: float
 
 
-def strongest_lack(hypothesis: Hypothesis) -> Lack | None:
+def contradiction(best: Hypothesis, nothing: Hypothesis) -> str:
+    """Return words on what single trials say against the most probable set; empty if they say nothing.
+
+    `nothing` is the empty set.
+    """
+    absence = strongest_absence(best)
+    if absence is not None and absence.nats > SURE_NATS:
+        return f"trial {absence.trial!r} lacks {absence.effect}, by {absence.nats:.0f} nats"
+    calibration = best.problem.calibration
+    share = closed_share(best, nothing, len(calibration.training), len(calibration.held_out))
+    return f"closes {max(share, 0.0):.0%} of the gap in the held-out trials only" if share < LEAST_CLOSED else ""
+
+
+def strongest_absence(hypothesis: Hypothesis) -> Absence | None:
     """Return the trial and the effect with the largest odds that this trial lacks what the others have.
 
     The rival of a set has the same effects, laws and base, with the output of one effect zero in one trial, as in a
@@ -50,7 +64,7 @@ def strongest_lack(hypothesis: Hypothesis) -> Lack | None:
             rivals = (*trials[:number], without, *trials[number + 1 :])
             rival = hypothesis.again(effects, linearised_trials(problem, effects, rivals, again=True))
             nats = rival.log_evidence - hypothesis.log_evidence - math.log(len(missing) * len(numbers))
-            found.append(Lack(hypothesis.effects[index].name, str(trial.record.trial), nats))
+            found.append(Absence(hypothesis.effects[index].name, str(trial.record.trial), nats))
     return max(found, key=lambda each: each.nats, default=None)
 
 

@@ -17,15 +17,13 @@ from needleplan.diagnosis._components import Components
 from needleplan.diagnosis._constants import (
     EMPTY_STEPS,
     FEWEST_REFERENCES,
-    LEAST_CLOSED,
     MOST_SAMPLES,
     SLOWEST_HZ,
-    SURE_NATS,
     TOLERANCE_SCALES,
     UNKNOWN_NOISE,
     VISIBLE_SHARE,
 )
-from needleplan.diagnosis._contradiction import closed_share, strongest_lack
+from needleplan.diagnosis._contradiction import contradiction
 from needleplan.diagnosis._decision import DiagnosisDecision, Ranked, Verdict, decide
 from needleplan.diagnosis._fit import fit_hypothesis
 from needleplan.diagnosis._hypothesis import Hypothesis
@@ -255,20 +253,10 @@ def answer_of(
     laws = list(_other_laws(best, settings))
     decision = decide(
         ranked, settings, powered=_powered(posterior), at_bound=at_bound(best),
-        contradiction=_contradiction(best, posterior.hypotheses[()]), lacks=[str(lack) for lack in checked.lacks],
+        contradiction=contradiction(best, posterior.hypotheses[()]), lacks=[str(lack) for lack in checked.lacks],
         laws={law.words: law.nats for law in laws},
     )  # fmt: skip
     return decision, laws
-
-
-def _contradiction(best: Hypothesis, nothing: Hypothesis) -> str:
-    """Return words on what single trials say against the most probable set; empty if they say nothing."""
-    lack = strongest_lack(best)
-    if lack is not None and lack.nats > SURE_NATS:
-        return f"trial {lack.trial!r} lacks {lack.effect}, by {lack.nats:.0f} nats"
-    calibration = best.problem.calibration
-    share = closed_share(best, nothing, len(calibration.training), len(calibration.held_out))
-    return f"closes {max(share, 0.0):.0%} of the gap in the held-out trials only" if share < LEAST_CLOSED else ""
 
 
 def default_library(model: Model) -> Library:
