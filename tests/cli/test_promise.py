@@ -55,7 +55,7 @@ def test_the_points_of_a_registration_say_its_error(file: Path, tmp_path: Path, 
     made = registration(tmp_path, 1.5)
     found = json.loads(needleplan("entry", file, "--registration", made, "--json").stdout)["promise"]
     error = npl.open(made).error
-    wanted = table.success_under(Uncertainty(registration=error), table.best_entry())
+    wanted = table.success_under(Uncertainty(registration=error, coil_mm=0.0), table.best_entry())
     assert found == json.loads(json.dumps(wanted.record()))
     assert found["registration"]["success"] < found["exact"]["success"]
     refused(needleplan("entry", file, "--registration", made, "--tre-mm", "1"), "--tre-mm", "left out")
@@ -65,7 +65,7 @@ def test_insert_promises_before_anything_moves(file: Path, tmp_path: Path) -> No
     made = registration(tmp_path, 0.5)
     done = needleplan("insert", file, "--registration", made, "--curvature-ratio", "0.8,1.2", "--json")
     promise = json.loads(done.stdout)["promise"]
-    assert list(promise) == ["exact", "registration", "curvature", "together", "uncertainty"]
+    assert list(promise) == ["exact", "registration", "curvature", "tip", "together", "uncertainty"]
     first = next(line for line in done.stderr.splitlines() if not line.startswith("warning"))
     assert first.startswith("as planned: ")
 

@@ -28,7 +28,7 @@ pytestmark = pytest.mark.usefixtures("few_executions")
 EXACT = Uncertainty()
 ALL = Uncertainty(entry_sd_mm=0.8, heading_sd_deg=1.5, tre_mm=1.2, curvature_ratio=(0.8, 1.2), coil_mm=3.0)
 # Without the tip noise that is known late, which is random in the twins too.
-FIXED = replace(ALL, coil_mm=0.0)
+FIXED = replace(ALL, coil_mm=None)
 # Standard deviations by which a share may differ from its probability.
 SIGMAS = 4.0
 # A start in the plane, away from the corners.
@@ -69,7 +69,7 @@ def outcomes(table: Any, uncertainty: Uncertainty, pose: Any, runs: int, seed: i
     motions = table._error_in_plan(uncertainty.rigid_error()).motions(draws.registration)
     starts = table._scattered(pose, uncertainty, draws.entry)
     return np.asarray(
-        table._reached(starts, Truths(motions, uncertainty.ratios(draws.curvature), uncertainty.coil_mm), seed)
+        table._reached(starts, Truths(motions, uncertainty.ratios(draws.curvature), uncertainty.coil_mm or 0.0), seed)
     )
 
 
@@ -254,7 +254,7 @@ def late_agrees(found: Success, share: float, runs: int) -> bool:
     return abs(found.value - share) < SIGMAS * math.sqrt(mean * (1 - mean) * (1 / found.runs + 1 / runs))
 
 
-@pytest.mark.parametrize("coil_mm", [2.0, 9.0])
+@pytest.mark.parametrize("coil_mm", [0.0, 2.0, 9.0])
 def test_tip_noise_that_is_known_late_costs_in_the_plane_what_it_costs_the_twin(
     plane: PolicyTable, coil_mm: float
 ) -> None:

@@ -79,7 +79,7 @@ def _plan(options: argparse.Namespace) -> int:
     with working(options, "comparing"):
         table, recordings = Table.read(options.model), [Recording.read(file) for file in options.data]
         coils = [coil_mm for recording in recordings if (coil_mm := recorded_coil_mm(recording)) is not None]
-        found = compare_plan(table, recordings, median(coils) if coils else 0.0)
+        found = compare_plan(table, recordings, median(coils) if coils else None)
     if options.json:
         claims = [asdict(claim) | {"holds": claim.holds} for claim in found.claims]
         record = {"table": options.model, "runs": found.runs, "ok": found.ok, "claims": claims}

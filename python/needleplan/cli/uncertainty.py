@@ -46,7 +46,7 @@ def add_uncertainty(parser: Parser, *, registration: bool = True) -> None:
 def _declare(group: argparse._ArgumentGroup, registration: bool) -> None:
     for option, each in _options().items():
         ends = each.default if isinstance(each.default, tuple) else (each.default,)
-        default = ",".join(f"{end:g}" for end in ends)
+        default = ",".join("left out" if end is None else f"{end:g}" for end in ends)
         is_pair = len(ends) > 1
         unit = each.name.rpartition("_")[2].upper()
         group.add_argument(

@@ -128,7 +128,7 @@ class _PlannedRun:
     heading_sd_rad: float
 
 
-def compare_plan(table: Table, recordings: Sequence[Recording], coil_mm: float = 0.0) -> PlanComparison:
+def compare_plan(table: Table, recordings: Sequence[Recording], coil_mm: float | None = None) -> PlanComparison:
     """Judge what a table claims by recorded insertions that followed it.
 
     Parameters
@@ -137,7 +137,7 @@ def compare_plan(table: Table, recordings: Sequence[Recording], coil_mm: float =
         The table. Curvature, tip noise and distance from the plane are judged for plans in the plane.
     recordings : sequence of Recording
         Recordings of `insert` with this table.
-    coil_mm : float, default 0
+    coil_mm : float, optional
         Distance of the coil behind the tip. With it, the success of a tip that is known up to the coil is judged too.
 
     Returns
@@ -173,7 +173,7 @@ def compare_plan(table: Table, recordings: Sequence[Recording], coil_mm: float =
         else:
             runs.append(run)
     claims = [_success("success", [run.predicted for run in runs], runs)] if runs else []
-    if runs and coil_mm:
+    if runs and coil_mm is not None:
         late = Uncertainty(coil_mm=coil_mm)
         shares = [table.success_under(late, run.start, executions=_EXECUTIONS).together.value for run in runs]
         claims.append(_success(f"success, coil {coil_mm:.3g} mm behind", shares, runs))

@@ -33,13 +33,17 @@ class Truths(NamedTuple):
     """What is true in n executions.
 
     `motions` are the rows of the rigid motions that take believed to true positions (mm), shape (n, 3, 4), `ratios` the
-    curvatures relative to the planned one, shape (n,), and `coil_mm` the distance of the coil behind the tip.
+    curvatures relative to the planned one, shape (n,), and `coil_mm` the distance of the coil behind the tip; 0 if the
+    noise acts at the ends of the steps and is known.
     """
 
     motions: NDArray[np.float64]
     ratios: NDArray[np.float64]
     coil_mm: float = 0.0
 
+
+# Distance (mm) of a coil at the tip: the noise acts all along the path, and next to nothing of it is unknown.
+_AT_TIP_MM = 1e-6
 
 # Largest number of executions of a part, limited by memory.
 _MOST_RUNS = 1_000_000
@@ -185,7 +189,7 @@ class PromisingTable(ABC):
     def _success_of(self, uncertainty: Uncertainty, pose: Any, draws: ErrorDraws, seed: int) -> Success:
         starts = self._scattered(pose, uncertainty, draws.entry)
         motions = self._error_in_plan(uncertainty.rigid_error()).motions(draws.registration)
-        truths = Truths(motions, uncertainty.ratios(draws.curvature), uncertainty.coil_mm)
+        truths = Truths(motions, uncertainty.ratios(draws.curvature), _seen_behind(uncertainty.coil_mm))
         return share_of(self._reached(starts, truths, seed))
 
     @abstractmethod
@@ -203,6 +207,11 @@ class PromisingTable(ABC):
     @abstractmethod
     def _reached(self, starts: NDArray[np.float64], truths: Truths, seed: int) -> NDArray[np.bool_]:
         """Return which executions reach the target, shape (n,); those without a start do not."""
+
+
+def _seen_behind(coil_mm: float | None) -> float:
+    """Return the distance of the coil for `Truths`."""
+    return 0.0 if coil_mm is None else max(coil_mm, _AT_TIP_MM)
 
 
 def share_of(reached: NDArray[np.bool_]) -> Success:

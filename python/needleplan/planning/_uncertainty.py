@@ -76,10 +76,15 @@ class Uncertainty(ConfigTable, error=InputError, between=(_one_registration, _lo
     )
     """95 % interval of the true curvature, relative to the planned one; its logarithm is normally distributed."""
 
-    coil_mm: float = ruled(
-        Number("mm", at_least=0, at_most=500), 0.0, about="distance of the coil, whose pose is measured, behind the tip"
+    coil_mm: float | None = ruled(
+        Maybe(Number("mm", at_least=0, at_most=500)),
+        None,
+        about="distance of the coil, whose pose is measured, behind the tip; the tip noise acts all along the path",
     )
-    """Distance of the coil, whose pose is measured, behind the tip: the tip noise of this length is not known yet."""
+    """Distance of the coil, whose pose is measured, behind the tip: the tip noise of this length is not known yet.
+
+    The noise acts all along the path. None: it acts at the ends of the steps, as the plan assumes, and is known.
+    """
 
     registration: RigidError | None = ruled(Maybe(_IsRigidError()), None)
     """Error of a registration, instead of `tre_mm`, in the frame to which it leads: of the plan, in 3D RAS."""
