@@ -150,12 +150,12 @@ def test_the_numbers_of_the_diagnosis_are_those_of_the_bench() -> None:
     text = (pages.ROOT / "benches" / "results" / "diagnosis_evidence.md").read_text(encoding="utf-8")
     for rule, row in (
         (r"Of the (\d+) sets with hidden causes: (\d+) and (\d+)", "forces of a [generator by another hand]"),
-        (r"of the (\d+) in which no effect is missing: (\d+) and (\d+)", "the same, "),
+        (r"of the (\d+) in which no effect is missing: (\d+) and (\d+)", "the same, {} data sets"),
     ):
         counted = re.search(rule, text)
         assert counted is not None
         sets, rightly, wrongly = map(int, counted.groups())
-        assert told(row) == [rightly, wrongly]
+        assert told(row.format(sets)) == [rightly, wrongly]
         assert f" {sets} data sets" in README.read_text(encoding="utf-8")
     gap, error = (result("circle")["total"][key] for key in ("gap", "error_mm"))
     assert told("eight effects hidden") == [
