@@ -1,6 +1,6 @@
 """The compiled module, built from the crate `needleplan-py`.
 
-Only `planning`, `anatomy`, `models`, `devices` and `control` import it.
+Only `planning`, `anatomy`, `models`, `estimation`, `devices` and `control` import it.
 
 Tables have the shape [nx, ny, headings, 2]; the last axis is bevel -1, bevel +1. Wrong input raises
 
@@ -8,8 +8,9 @@ Tables have the shape [nx, ny, headings, 2]; the last axis is bevel -1, bevel +1
 - TypeError or OverflowError, if an argument is not of the type in the signature;
 - MemoryError, if a problem does not fit.
 
-A RuntimeError is a defect of this module. All work but a look-up of few poses, `rod_stations` and the guard is done by
-other threads, without the GIL; Ctrl-C ends it within 0.1 s. Arrays that can be written to are copied first.
+A RuntimeError is a defect of this module. All work but a look-up of few poses, `rod_stations`, `path_moved`,
+`path_corrected` and the guard is done by other threads, without the GIL; Ctrl-C ends it within 0.1 s. Arrays that can be
+written to are copied first.
 """
 
 import os
@@ -63,6 +64,8 @@ __all__ = [
     "impossible",
     "lattice_codes",
     "lookup_many",
+    "path_corrected",
+    "path_moved",
     "rod_stations",
     "slid",
     "yielding",

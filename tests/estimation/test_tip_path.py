@@ -5,12 +5,26 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from filterpy.kalman import update as kalman_update
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from needleplan import _ppvi
 from needleplan.estimation import TipSettings
-from needleplan.estimation.tip._path import FACTOR, HEADING, ROLL, SIZE, ChannelPiece, CutChannel, along, moved, tangent
+from needleplan.estimation.tip import _path
+from needleplan.estimation.tip._path import (
+    CHANGE,
+    FACTOR,
+    HEADING,
+    ROLL,
+    SIZE,
+    ChannelPiece,
+    CutChannel,
+    moved,
+    tangent,
+)
 from needleplan.models import TipFrame
+from tests.estimation import slow_path
 
 LEGS = st.lists(st.tuples(st.floats(0.1, 30), st.floats(-4, 4)), min_size=1, max_size=5)
 
@@ -34,7 +48,7 @@ def test_arcs_are_those_of_a_frame_that_does_not_twist(
         parts = 40
         for _ in range(parts):
             frame = frame.arc(bend * math.cos(roll + off), bend * math.sin(roll + off), length / parts)
-            state = along(state[None], piece(length / parts, roll), 1 / 200, 50.0)[0]
+            state, _ = moved(state, np.zeros((SIZE, SIZE)), piece(length / parts, roll), 1 / 200, TipSettings())
     np.testing.assert_allclose(state[:3], frame.position_mm, atol=2e-3)
     np.testing.assert_allclose(tangent(state), frame.tangent, atol=1e-4)
 
@@ -67,11 +81,47 @@ def test_spread_is_that_of_many_needles() -> None:
     many = np.tile(state, (20_000, 1))
     many[:, FACTOR] += random.normal(0, 0.2, len(many))
     for _ in range(100):
-        many = along(many, piece(0.1, 0.4), 1 / 40, 50.0)
+        many = slow_path.along(many, piece(0.1, 0.4), 1 / 40, 50.0)
         many[:, HEADING : HEADING + 2] += random.normal(0, 0.01 * math.sqrt(0.1), (len(many), 2))
     for row in (1, 2, 3, 4):
         assert spread[row, row] == pytest.approx(many[:, row].var(), rel=0.06)
     assert spread[1, HEADING] == pytest.approx(np.cov(many[:, 1], many[:, HEADING])[0, 1], rel=0.06)
+
+
+@pytest.mark.parametrize("columns", [SIZE, SIZE + 3, 58])
+@pytest.mark.parametrize("fresh", [True, False])
+def test_steps_and_corrections_are_those_of_numpy_and_filterpy(columns: int, fresh: bool) -> None:
+    random = np.random.default_rng(columns)
+    settings = TipSettings(factor_sd_sqrt_mm=0.02, change_sd_per_mm=0.01)
+    for _ in range(10):
+        root = random.normal(0, 0.1, (columns, columns))
+        state, covariance = random.normal(0, 0.3, columns), root @ root.T
+        state[FACTOR], state[CHANGE] = 1.1, 0.01
+        step = ChannelPiece(random.uniform(0.1, 5.0), *random.uniform(-0.7, 0.7, 2), 0.2, fresh=fresh)
+        fast, slow = (each.moved(state, covariance, step, 1 / 40, settings) for each in (_path, slow_path))
+        for one, other in zip(fast, slow, strict=True):
+            np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-10)  # rounding by the steps of 1e-5
+        model = np.zeros((2, columns))
+        model[:, (0, 4, columns - 1)], innovation = random.normal(size=(2, 3)), random.normal(0, 0.1, 2)
+        nis, corrected = _ppvi.path_corrected(
+            state, covariance, (0, 4, columns - 1), model[:, (0, 4, columns - 1)].T.tolist(), innovation,
+            variance=0.04, gate=math.inf,
+        )  # fmt: skip
+        expected = kalman_update(state, covariance, model @ state + innovation, 0.04 * np.eye(2), model)
+        for one, other in zip(corrected, expected, strict=True):
+            np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-12)
+        spread = model @ covariance @ model.T + 0.04 * np.eye(2)
+        assert nis == pytest.approx(innovation @ np.linalg.solve(spread, innovation))
+
+
+def test_wrong_sizes_are_refused() -> None:
+    state, step = np.zeros(SIZE + 1), piece(1.0, 0.0)
+    with pytest.raises(ValueError, match="state: expected 11 or at least 14 columns"):
+        moved(state, np.zeros((SIZE + 1, SIZE + 1)), step, 1 / 40, TipSettings())
+    with pytest.raises(ValueError, match="columns: expected one column of the state"):
+        _ppvi.path_corrected(
+            np.zeros(SIZE), np.zeros((SIZE, SIZE)), (11,), ((1, 0),), (0, 0), variance=1.0, gate=math.inf
+        )
 
 
 def test_turning_the_base_makes_the_roll_uncertain() -> None:

@@ -4,7 +4,7 @@
 //! crate holds the geometry ([`Bicycle`], [`Workspace`], [`Area`], [`Arc`], [`Tissues`], [`Clearance`]), turns a [`Setup`] into a
 //! [`LatticeMdp`](ppvi::lattice::LatticeMdp) ([`SteeringProblem`]), looks poses up in a solved table ([`TableGrid`]),
 //! and executes a policy in the continuous model ([`Executor`]). [`Rod`] is the shape of a needle in layered tissue,
-//! [`bristle`] follows the friction along a motion.
+//! [`bristle`] follows the friction along a motion, [`path_state`] an uncertain path.
 //!
 //! Units are millimetres and radians. x points along the insertion, y is lateral, headings are measured
 //! counter-clockwise from +x. Errors are those of `ppvi`.
@@ -48,6 +48,7 @@ mod classification;
 mod clearance;
 mod look_ahead;
 mod lookup;
+pub mod path_state;
 mod problem;
 mod random;
 mod regions;

@@ -7,6 +7,7 @@ mod guard;
 mod lattice;
 mod line;
 mod lookup;
+mod path_state;
 mod robot;
 mod robot_threads;
 mod rod;
@@ -32,6 +33,8 @@ fn _ppvi(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(segmentation::lattice_codes, module)?)?;
     module.add_function(wrap_pyfunction!(segmentation::impossible, module)?)?;
     module.add_function(wrap_pyfunction!(rod::rod_stations, module)?)?;
+    module.add_function(wrap_pyfunction!(path_state::path_moved, module)?)?;
+    module.add_function(wrap_pyfunction!(path_state::path_corrected, module)?)?;
     module.add_function(wrap_pyfunction!(bristle::slid, module)?)?;
     module.add_function(wrap_pyfunction!(bristle::yielding, module)?)?;
     module.add_function(wrap_pyfunction!(bristle::dragged, module)?)?;

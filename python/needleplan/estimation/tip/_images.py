@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import chdtri
 
+from needleplan import _ppvi
 from needleplan.estimation.tip._estimate import TipSettings
 from needleplan.models.path import ImagePlane
 from needleplan.signals import Array
@@ -45,6 +46,7 @@ class ImageFixes:
 
     def __init__(self, plane: ImagePlane, settings: TipSettings) -> None:
         self._axes, self._origin = plane.axes[:2], plane.axes[:2] @ np.array(plane.origin_mm)
+        self._model: list[list[float]] = self._axes.T.tolist()
         self._variance = settings.image_sd_mm**2
         self._gate = float(chdtri(2, settings.gate))
         self._fixes: list[_Fix] = []
@@ -56,8 +58,7 @@ class ImageFixes:
 
     def agrees(self, place_mm: Array, state: Array, covariance: Array) -> bool:
         """Return whether a detected position, shape (2,), agrees with the predicted state."""
-        innovation, _, spread = self._compared(_Fix(0.0, place_mm), state, covariance)
-        return bool(innovation @ np.linalg.solve(spread, innovation) <= self._gate)
+        return self._update(place_mm, state, covariance)[0] <= self._gate
 
     def add(self, length_mm: float, place_mm: Array, beyond_mm: float) -> None:
         """Keep a position at a path length. A near position ahead of the coil is merged with it."""
@@ -83,13 +84,13 @@ class ImageFixes:
 
     def used(self, place_mm: Array, state: Array, covariance: Array, count: int = 1) -> tuple[Array, Array]:
         """Return state and covariance, corrected by the mean of `count` detected positions."""
-        innovation, across, spread = self._compared(_Fix(0.0, place_mm, count), state, covariance)
-        gain = np.linalg.solve(spread, across.T).T
-        smaller = covariance - gain @ across.T
-        return state + gain @ innovation, (smaller + smaller.T) / 2
+        return self._update(place_mm, state, covariance, count)[1]
 
-    def _compared(self, fix: _Fix, state: Array, covariance: Array) -> tuple[Array, Array, Array]:
-        """Return the innovation, its covariance with the state, shape (n, 2), and its own covariance."""
-        across = covariance[:, :3] @ self._axes.T
-        spread = self._axes @ across[:3] + self._variance / fix.count * np.eye(2)
-        return fix.place_mm + self._origin - self._axes @ state[:3], across, spread
+    def _update(
+        self, place_mm: Array, state: Array, covariance: Array, count: int = 1
+    ) -> tuple[float, tuple[Array, Array]]:
+        """Return the normalised squared innovation, and state and covariance after the measurement."""
+        innovation = place_mm + self._origin - self._axes @ state[:3]
+        return _ppvi.path_corrected(
+            state, covariance, (0, 1, 2), self._model, innovation, variance=self._variance / count, gate=np.inf
+        )

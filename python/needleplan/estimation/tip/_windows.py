@@ -18,6 +18,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from needleplan import _ppvi
 from needleplan.devices import FibreSample, Health
 from needleplan.errors import DataError, Mistake
 from needleplan.estimation.tip._estimate import TipSettings
@@ -87,6 +88,11 @@ class FibreWindows:
         self._last: list[_Reading | None] = [None] * len(sensors.from_tip_mm)
         self._passages: dict[tuple[int, int], _Passage] = {}
         self._too_large = 0
+        # Columns from which those at the end of a window come, and their factors, shape (1, columns).
+        rows = [*range(self._means), *range(self.size)[_INTEGRALS], *range(self._means, self.size - _ANGLES)]
+        scale = np.ones((1, self.size))
+        scale[:, _INTEGRALS], scale[:, self._means : self._means + _ANGLES] = 0.0, 1 / self.gauge_mm
+        self._shift = np.array(rows), scale
 
     @property
     def size(self) -> int:
@@ -126,12 +132,8 @@ class FibreWindows:
 
         The mean angles of the window are stored as the newest ones, and its running integrals become 0.
         """
-        integrals = range(self.size)[_INTEGRALS]
-        rows = [*range(self._means), *integrals, *range(self._means, self.size - _ANGLES)]
-        scale = np.ones(self.size)
-        scale[_INTEGRALS] = 0.0
-        scale[self._means : self._means + _ANGLES] = 1 / self.gauge_mm
-        return scale * state[rows], covariance[np.ix_(rows, rows)] * np.outer(scale, scale)
+        rows, scale = self._shift
+        return scale[0] * state[rows], covariance.take(rows, axis=0).take(rows, axis=1) * (scale * scale.T)
 
     def forget_beyond(self, length_mm: float) -> None:
         """Discard readings beyond a path length, at which the tip has left its channel for a new one."""
@@ -208,14 +210,12 @@ class FibreWindows:
         ])  # fmt: skip
         level = math.cos((state[late + 1] + state[early + 1]) / 2)
         innovation = measured - (level * (state[late] - state[early]), state[late + 1] - state[early + 1])
-        model = np.zeros((2, state.size))
-        model[0, late], model[0, early], model[1, late + 1], model[1, early + 1] = level, -level, 1.0, -1.0
-        model[:, late + 2] = model[:, early + 2] = measured[1] / 2, -measured[0] / 2
-        model[:, bias], model[:, bias + 1] = (cos, sin), (-sin, cos)
-        across = covariance @ model.T
-        spread = model @ across + self._settings.fibre_sd_per_mm**2 * passage.squares * np.eye(2)
-        gain = np.linalg.solve(spread, across.T).T
-        if not float(innovation @ np.linalg.solve(spread, innovation)) <= gate:
-            return state, covariance
-        smaller = covariance - gain @ across.T
-        return state + gain @ innovation, (smaller + smaller.T) / 2
+        columns = (late, early, late + 1, early + 1, late + 2, early + 2, bias, bias + 1)
+        by_roll = (measured[1] / 2, -measured[0] / 2)
+        model = (
+            (level, 0.0), (-level, 0.0), (0.0, 1.0), (0.0, -1.0), by_roll, by_roll, (cos, sin), (-sin, cos),
+        )  # fmt: skip
+        return _ppvi.path_corrected(
+            state, covariance, columns, model, innovation, gate=gate,
+            variance=self._settings.fibre_sd_per_mm**2 * passage.squares,
+        )[1]  # fmt: skip
