@@ -9,8 +9,8 @@ Tables have the shape [nx, ny, headings, 2]; the last axis is bevel -1, bevel +1
 - MemoryError, if a problem does not fit.
 
 A RuntimeError is a defect of this module. All work but a look-up of few poses, `rod_stations`, `path_moved`,
-`path_corrected` and the guard is done by other threads, without the GIL; Ctrl-C ends it within 0.1 s. Arrays that can be
-written to are copied first.
+`path_corrected` and the guard is done by other threads, without the GIL; Ctrl-C ends it within 0.1 s. Arrays that can
+be written to are copied first.
 """
 
 import os

@@ -101,10 +101,10 @@ pub fn moved(state: &mut [f64], covariance: &mut [f64], piece: &PathPiece, plann
         // cov(w, I) = v L / 2 and var(I) = v L^2 / 3. The position y across the path is the same integral, so that
         // cov(y, I) = v L^2 / 3, and cov(y, w) = v L / 2.
         for (sum, angle) in (PATH_SIZE..active).zip(ANGLES) {
-            for row in 0..PATH_SIZE {
-                let scale = if row < 3 { 4.0 / 3.0 } else { 1.0 };
-                added[row][sum] = half * scale * added[row][angle];
-                added[sum][row] = added[row][sum];
+            let shared: Path =
+                std::array::from_fn(|row| half * added[row][angle] * if row < 3 { 4.0 / 3.0 } else { 1.0 });
+            for (row, value) in shared.into_iter().enumerate() {
+                (added[row][sum], added[sum][row]) = (value, value);
             }
         }
         for (row, angle) in (PATH_SIZE..active).zip(ANGLES) {
