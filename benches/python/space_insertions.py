@@ -24,19 +24,27 @@ from needleplan.control import Insertion, Listener, Options
 from needleplan.devices import ForceSample, PoseSample, Sample, StageSample
 from needleplan.estimation.tip import TipEstimate, TipSettings
 from needleplan.identification.space_curvature import SpaceInsertion, space_curvature
+from needleplan.models.tissue import NeedlePush
 from needleplan.planning import SpaceTable, plan_space, wilson
 from needleplan.simulation import Effects, Robot, SimulatedStation, Simulation, simulated_station
 
 ROLLOUTS = 10_000
+# Shear modulus (N/mm^2) of soft tissue: the tip moves a target on its axis by 5 mm.
+SOFT_N_MM2 = 0.005
 
 
 @dataclass(frozen=True)
 class LabKind:
-    """A lab: name, effects, and from how many earlier insertions the plan takes its curvature (0: as shipped)."""
+    """A lab: name, effects, and from how many earlier insertions the plan takes its curvature (0: as shipped).
+
+    With a shear modulus, the needle pushes the target; `goes_on`: the insertion has the option `--push`.
+    """
 
     name: str
     effects: Effects
     learns_from: int = 0
+    modulus_n_mm2: float | None = None
+    goes_on: bool = False
 
 
 class TruePath(Listener):
@@ -72,18 +80,24 @@ class TrueEnd:
 def run(table: SpaceTable, kind: LabKind, seed: int) -> TrueEnd:
     """Insert once."""
     simulation = Simulation.read("steering")
-    setup = replace(simulation.setup, effects=kind.effects, robot=Robot(servo_hz=400, bandwidth_hz=10.0))
+    tissue = replace(simulation.setup.tissue, shear_modulus_n_mm2=kind.modulus_n_mm2)
+    robot = Robot(servo_hz=400, bandwidth_hz=10.0)
+    setup = replace(simulation.setup, effects=kind.effects, robot=robot, tissue=tissue)
     station = simulated_station(replace(simulation, setup=setup), table, table.best_entry(exact=True), seed)
     path = TruePath(table, station)
     settings = TipSettings(heading_sd_rad_sqrt_mm=table.scenario.noise_rad_sqrt_mm)
-    options = Options(velocity_mm_s=10.0, torsion=station.torsion)
+    beyond = 0.0
+    if kind.modulus_n_mm2 and kind.goes_on:
+        beyond = NeedlePush(kind.modulus_n_mm2, setup.shaft.radius_mm).beyond_mm(tissue.cutting_n)
+    options = Options(velocity_mm_s=10.0, torsion=station.torsion, beyond_mm=beyond)
     with Insertion(table, station, options, registration=station.registration, tip_settings=settings,
                    listeners=[path]) as insertion:  # fmt: skip
         report = insertion.run()
-    place = np.array(station.true_tip_mm)
+    center = np.array(table.scenario.target_mm)
+    apart = np.array(station.true_tip_mm) - station.true_target_mm(table.scenario.target_mm)
     return TrueEnd(
-        bool(table.scenario.codes(place) == TARGET) and path.free,
-        float(np.linalg.norm(place - table.scenario.target_mm)),
+        bool(table.scenario.codes(center + apart) == TARGET) and path.free,
+        float(np.linalg.norm(apart)),
         report.turns,
         report.replans,
         max((float(e.text.split(" in ")[1].split()[0]) for e in report.events if e.name == "table_swapped"), default=0),
@@ -109,6 +123,8 @@ def kinds() -> list[LabKind]:
         LabKind("all effects", shipped),
         LabKind("curvature 0.7", off),
         LabKind("curvature 0.7, planned again after 4", off, learns_from=4),
+        LabKind("soft tissue, which gives way", noise, modulus_n_mm2=SOFT_N_MM2),
+        LabKind("soft tissue, `insert --push`", noise, modulus_n_mm2=SOFT_N_MM2, goes_on=True),
     ]
 
 
@@ -117,7 +133,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seeds", type=int, default=15, help="insertions for each anatomy and lab (15)")
     parser.add_argument("--anatomy-seed", type=int, default=5, help="seed of the phantoms (5)")
-    parser.add_argument("--labs", type=int, help="number of labs (4)")
+    parser.add_argument("--labs", nargs="+", metavar="WORD", help="run only labs with one of these words")
     options = parser.parse_args()
     began, of = time.time(), machine.description()
     rows, means = [], []
@@ -127,7 +143,9 @@ def main() -> int:
             write_phantom(kind, Path(folder) / kind, options.anatomy_seed)
             tables[kind] = plan_space(SpaceScenario.of(Anatomy.read(Path(folder) / kind / "anatomy.toml")))
     shipped = {kind: promises(table) for kind, table in tables.items()}
-    for lab in kinds()[: options.labs]:
+    for lab in kinds():
+        if options.labs and not any(word in lab.name for word in options.labs):
+            continue
         every, told = [], []
         for number, (kind, table) in enumerate(tables.items()):
             plan, same, of_plan = table, lab, shipped[kind]

@@ -169,7 +169,6 @@ def test_options_of_the_plane_are_refused(table: Path) -> None:
         ("plan", anatomy, "--edge", "top"),
         ("plan", anatomy, "--edge", "left"),
         ("insert", table, "--scenario", "four_obstacles"),
-        ("insert", table, "--push", "1,1,1"),
         ("insert", table, "--start", "0,0,0"),
         ("insert", table, "--start", "0,0,0,0,0,1"),
     ):

@@ -26,18 +26,27 @@ def box_table(straight: bool = True, bent: bool = False) -> SpaceTable:
     return plan_space(SpaceScenario.of(anatomy(box(), text)), threads=1)
 
 
-def space_station(table: SpaceTable, effects: Effects = QUIET, seed: int = 0) -> SimulatedStation:
-    """Return a lab with these effects, in which the needle enters at the best entry."""
+def space_station(
+    table: SpaceTable, effects: Effects = QUIET, seed: int = 0, modulus_n_mm2: float | None = None
+) -> SimulatedStation:
+    """Return a lab with these effects, in which the needle enters at the best entry; with a modulus, of soft tissue."""
     simulation = Simulation.read("steering")
-    setup = replace(simulation.setup, effects=effects, robot=Robot(servo_hz=400, bandwidth_hz=10.0))
+    tissue, robot = simulation.setup.tissue, Robot(servo_hz=400, bandwidth_hz=10.0)
+    tissue = replace(tissue, shear_modulus_n_mm2=modulus_n_mm2)
+    setup = replace(simulation.setup, effects=effects, robot=robot, tissue=tissue)
     return simulated_station(replace(simulation, setup=setup), table, table.best_entry().pose, seed)
 
 
 def inserted(
-    table: SpaceTable, effects: Effects = QUIET, seed: int = 0, options: Options = FAST, **others: Any
+    table: SpaceTable,
+    effects: Effects = QUIET,
+    seed: int = 0,
+    options: Options = FAST,
+    station: SimulatedStation | None = None,
+    **others: Any,
 ) -> tuple[InsertionReport, SimulatedStation]:
     """Return the report of an insertion, and its lab."""
-    station = space_station(table, effects, seed)
+    station = station or space_station(table, effects, seed)
     noise = max(effects.heading_noise_rad_sqrt_mm or 0.0, 0.002)
     others = {"limits": WIDE, "accepted_limits": "a fast lab", "registration": station.registration,
               "tip_settings": TipSettings(heading_sd_rad_sqrt_mm=noise)} | others  # fmt: skip

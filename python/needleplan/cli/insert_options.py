@@ -129,7 +129,7 @@ def _add_mechanics(group: argparse._ArgumentGroup) -> None:
     group.add_argument(
         "--push",
         metavar=PUSH_FORM,
-        help=f"push of the needle, by which the tip goes on behind the target (in the plane): {PUSH_HELP}",
+        help=f"push of the needle, by which the tip goes on behind the target: {PUSH_HELP}",
     )
     group.add_argument(
         "--needle-length", type=float, metavar="MM", help="length of the shaft, mm, for the torsion (default: 200)"

@@ -323,7 +323,6 @@ def _refuse_plane_options(options: argparse.Namespace) -> None:
     """Raise InputError for options that a 3D table does not permit."""
     rules = {
         "--scenario": "is for a table in the plane, and this is a 3D table",
-        "--push": "is for a table in the plane, and this is a 3D table",
         "--needle": "is for a table in the plane, and this is a 3D table",
     }
     mistakes = [

@@ -116,8 +116,8 @@ class Options(CallRepr):
     orders has no time limit: only a person resumes the run."""
 
     beyond_mm: float = 0.0
-    """In the plane: length (mm) by which the tip goes on beyond the place of a target at rest, because the push of the
-    needle moves the target ahead (`NeedlePush.beyond_mm`)."""
+    """Length (mm) by which the tip goes on beyond the place of a target at rest, because the push of the needle moves
+    the target ahead (`NeedlePush.beyond_mm`)."""
 
     gate: BreathGate | None = None
     """In 3D: when the needle may advance, by breathing; None: at any time."""
