@@ -5,11 +5,12 @@ import pytest
 
 from needleplan.cli.diagnose import _SENSORS
 from needleplan.diagnosis import Library, diagnose
-from needleplan.diagnosis._along_needle import curvature_remarks
+from needleplan.diagnosis._along_needle import curvature_remarks, image_remarks
 from needleplan.models import ModelFile, ShaftAndTip, SpatialBicycle
 from needleplan.models.deflection import FibreSensors
 from needleplan.models.effects import effect_named
-from needleplan.signals import Array, Record, Role
+from needleplan.models.path import ImagePlane
+from needleplan.signals import IMAGE_COLUMNS, Array, Record, Role
 from tests.diagnosis.tip_trials import BASE, motion, recordings
 
 SENSORS = FibreSensors.at((5.0, 20.0))
@@ -36,6 +37,19 @@ def trials(curvature_per_mm: float) -> list[Record]:
     return [*(sensed(record, curvature_per_mm, kind) for kind, record in enumerate(moved)), noise]
 
 
+def imaged(plane: ImagePlane) -> list[Record]:
+    """The records with the tip in images: 0.5 mm of noise, every third image missed, some far off."""
+    random, found = np.random.default_rng(4), []
+    for record in recordings()[:-1]:
+        tip = np.stack([record[name] for name in ("x_mm", "y_mm", "z_mm")], 1)
+        places = (tip - plane.origin_mm) @ plane.axes[:2].T + random.normal(0, 0.5, (len(record), 2))
+        places[::3], places[::20] = np.nan, 30.0
+        for name, values in zip(IMAGE_COLUMNS, places.T, strict=True):
+            record = record.with_column(name, values)
+        found.append(record)
+    return found
+
+
 def test_sensors_of_a_needle_as_modelled_agree_also_after_a_rotation() -> None:
     (remark,) = curvature_remarks(BASE, trials(BASE.curvature_per_mm), SENSORS)
     assert "2 sensors agree with the model" in remark
@@ -48,10 +62,18 @@ def test_columns_that_are_not_compared_have_one_remark() -> None:
     force = ShaftAndTip(friction=0.01, cutting=0.3, onset_mm=2.0, presliding_mm=0.1)
     (unused,) = curvature_remarks(force, trials(0.005), SENSORS)
     assert unused.endswith("because the model has no path of the tip in 3D")
-    images = [record.with_column("image_u_mm", record["time_s"]) for record in recordings()]
-    (unused,) = curvature_remarks(BASE, images, None)
-    assert unused.startswith("tip in images: image_u_mm and image_v_mm are not used")
-    assert all(each.startswith(_SENSORS) for each in (unused,))
+    (unused,) = image_remarks(BASE, imaged(ImagePlane()), None)
+    assert unused.endswith("image_u_mm and image_v_mm are not used, because the model file has no [ultrasound]")
+    assert unused.startswith(_SENSORS)  # the command prints it without --verbose
+
+
+def test_images_of_a_tip_that_is_not_where_the_model_says_differ_also_with_outliers() -> None:
+    plane = ImagePlane(origin_mm=(10.0, -5.0, 0.0), u_axis=(0.0, 1.0, 0.0), v_axis=(0.0, 0.0, 1.0))
+    (agree,) = image_remarks(BASE, imaged(plane), plane)
+    assert "agree with the model" in agree
+    (apart,) = image_remarks(BASE.with_values(curvature_per_mm=0.0035), imaged(plane), plane)
+    assert "differ from the model: +" in apart
+    assert list(image_remarks(BASE, recordings(), plane)) == []
 
 
 def test_a_needle_that_bends_more_than_its_tip_tells_is_named_by_its_sensors() -> None:

@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from needleplan.diagnosis._along_needle import curvature_remarks
+from needleplan.diagnosis._along_needle import sensor_remarks
 from needleplan.diagnosis._base_law import Law
 from needleplan.diagnosis._blocks import HETEROGENEITY_SDS
 from needleplan.diagnosis._budget import FindingKind, OtherLaw
@@ -194,7 +194,8 @@ def diagnose(
         given=file.model, laws=tuple(laws),
     )  # fmt: skip
     found = replace(found, decision=_accounted(found))
-    return replace(found, remarks=(*remarks, *curvature_remarks(found.model, records, file.fibre), *_kept(found)))
+    sensed = sensor_remarks(found.model, records, file.fibre, file.ultrasound)
+    return replace(found, remarks=(*remarks, *sensed, *_kept(found)))
 
 
 def _require_type(kind: type, value: object, name: str) -> None:

@@ -19,7 +19,7 @@
     [options]                 # choices of the model that are not parameters
     profile = "constant"
 
-    [fibre]                   # only of a needle with curvature sensors
+    [fibre]                   # only of a needle with curvature sensors; likewise [ultrasound]
     from_tip_mm = [10, 30]    # distances of the sensors from the tip, the nearest first
 
     [[parent]]                # data from which the model was identified
@@ -87,6 +87,7 @@ from needleplan.models._kinds import kind_of
 from needleplan.models._parameter import Parameter
 from needleplan.models.deflection import FibreSensors
 from needleplan.models.effects import AddedEffect, AugmentedModel, Effect, effect_named
+from needleplan.models.path import ImagePlane
 
 __all__ = ["ModelFile"]
 
@@ -213,6 +214,7 @@ class _ModelTable(ConfigTable, error=ModelError, schema="needleplan.model/1", be
     options: dict[str, Any] = ruled(Given("kind", _options_of))
     effect: tuple[_EffectTable, ...] = ruled(TableList(_EffectTable), ())
     fibre: FibreSensors | None = ruled(Maybe(Subtable(FibreSensors)), None)
+    ultrasound: ImagePlane | None = ruled(Maybe(Subtable(ImagePlane)), None)
 
 
 @dataclass(frozen=True)
@@ -233,8 +235,8 @@ class ModelFile(ShortRepr):
         Title.
     made_by : str
         Program and version.
-    fibre : FibreSensors or None
-        Curvature sensors along the needle.
+    fibre, ultrasound : FibreSensors and ImagePlane, or None
+        Curvature sensors along the needle, and image plane of a probe in the frame of the recordings.
     folder : Path or None
         Folder of the file that was read, from which the files of the parents are named; None if it was not read.
 
@@ -253,6 +255,7 @@ class ModelFile(ShortRepr):
     title: str = ""
     made_by: str = field(default_factory=lambda: f"needleplan {version()}")
     fibre: FibreSensors | None = None
+    ultrasound: ImagePlane | None = None
     folder: Path | None = field(default=None, compare=False)
 
     @classmethod
@@ -322,7 +325,7 @@ class ModelFile(ShortRepr):
         model: Model = read.kind(**values, **read.options)
         if read.effect:
             model = AugmentedModel(model, tuple(effect.made for effect in read.effect))
-        return cls(model, estimates, read.parent, read.remarks, read.title, read.made_by, read.fibre)
+        return cls(model, estimates, read.parent, read.remarks, read.title, read.made_by, read.fibre, read.ultrasound)
 
     def to_toml(self) -> str:
         """Return the model file as TOML text. `from_toml` of this text gives an equal `ModelFile`."""
@@ -337,11 +340,12 @@ class ModelFile(ShortRepr):
             "remarks": self.remarks,
             "parameters": _raw_parameters(kind.parameters(), model.values(), self.estimates),
             "options": {name: getattr(model, name) for name in _options(kind)},
-            "fibre": raw_of(self.fibre) if self.fibre else {},
+            **{key: raw_of(table) for key in ("fibre", "ultrasound") if (table := getattr(self, key))},
             "parent": [_raw_parent(parent) for parent in self.parents],
             "effect": [_raw_effect(effect) for effect in effects],
         }
-        return toml_text({key: value for key, value in document.items() if value or key not in _MAY_LACK})
+        may_lack = ("parameters", "options", "parent", "effect")
+        return toml_text({key: value for key, value in document.items() if value or key not in may_lack})
 
     def write(self, path: str | os.PathLike[str]) -> None:
         """Write the model file to `path`. Raises OutputError if that fails."""
@@ -351,10 +355,6 @@ class ModelFile(ShortRepr):
     def digest(self) -> str:
         """SHA-256 of the text; files that are made with the model refer to the model by this digest."""
         return digest(self.to_toml())
-
-
-_MAY_LACK = ("parameters", "options", "fibre", "parent", "effect")
-"""Keys that a written file leaves out if their values are empty."""
 
 
 def _raw_parent(parent: Parent) -> dict[str, str]:
