@@ -24,7 +24,7 @@ from needleplan.control import Insertion, Listener, Options
 from needleplan.devices import ForceSample, PoseSample, Sample, StageSample
 from needleplan.estimation.tip import TipEstimate, TipSettings
 from needleplan.identification.space_curvature import SpaceInsertion, space_curvature
-from needleplan.models.tissue import NeedlePush
+from needleplan.models.tissue import NeedlePush, TargetPush
 from needleplan.planning import SpaceTable, plan_space, wilson
 from needleplan.simulation import Effects, Robot, SimulatedStation, Simulation, simulated_station
 
@@ -86,10 +86,10 @@ def run(table: SpaceTable, kind: LabKind, seed: int) -> TrueEnd:
     station = simulated_station(replace(simulation, setup=setup), table, table.best_entry(exact=True), seed)
     path = TruePath(table, station)
     settings = TipSettings(heading_sd_rad_sqrt_mm=table.scenario.noise_rad_sqrt_mm)
-    beyond = 0.0
+    push = None
     if kind.modulus_n_mm2 and kind.goes_on:
-        beyond = NeedlePush(kind.modulus_n_mm2, setup.shaft.radius_mm).beyond_mm(tissue.cutting_n)
-    options = Options(velocity_mm_s=10.0, torsion=station.torsion, beyond_mm=beyond)
+        push = TargetPush(NeedlePush(kind.modulus_n_mm2, setup.shaft.radius_mm), tissue.cutting_n)
+    options = Options(velocity_mm_s=10.0, torsion=station.torsion, push=push)
     with Insertion(table, station, options, registration=station.registration, tip_settings=settings,
                    listeners=[path]) as insertion:  # fmt: skip
         report = insertion.run()

@@ -28,7 +28,7 @@ from scipy import stats
 
 from needleplan.models.deflection import FibreSensors
 from needleplan.models.path import ImagePlane
-from needleplan.models.tissue import NeedlePush
+from needleplan.models.tissue import NeedlePush, TargetPush
 from needleplan.planning import wilson
 from needleplan.scenario import Scenario
 from needleplan.simulation import SimulatedLayer
@@ -85,8 +85,8 @@ class Kind:
         if self.margin:
             less = target.radius_mm - push.at_tip_mm(force)
             scenario = replace(scenario, target=replace(target, radius_mm=less))
-        beyond = push.beyond_mm(force) if self.goes_on else 0.0
-        return SteeringCase(self.name, scenario, replace(found, setup=setup), beyond_mm=beyond)
+        goes_on = TargetPush(push, force) if self.goes_on else None
+        return SteeringCase(self.name, scenario, replace(found, setup=setup), push=goes_on)
 
 
 KINDS = (

@@ -10,7 +10,7 @@ from needleplan.anatomy import OBSTACLE, TARGET
 from needleplan.control import InsertionOutcome, RunEventName
 from needleplan.control._space_target import SpaceTarget
 from needleplan.estimation.registration import Registration
-from needleplan.models.tissue import NeedlePush
+from needleplan.models.tissue import NeedlePush, TargetPush
 from needleplan.planning import Action
 from needleplan.simulation import Effects, Simulation
 from tests.control.space_scenes import FAST, box_table, inserted, space_station
@@ -58,9 +58,9 @@ def test_in_soft_tissue_the_tip_goes_on_to_the_pushed_target() -> None:
     # Without the option, the tip ends 2.3 mm short of the moved target; it ends 1.0 mm beside it in both cases.
     table, modulus = box_table(), 0.005
     setup = Simulation.read("steering").setup
-    beyond = NeedlePush(modulus, setup.shaft.radius_mm).beyond_mm(setup.tissue.cutting_n)
+    push = TargetPush(NeedlePush(modulus, setup.shaft.radius_mm), setup.tissue.cutting_n)
     soft = space_station(table, modulus_n_mm2=modulus)
-    report, lab = inserted(table, options=replace(FAST, beyond_mm=beyond), station=soft)
+    report, lab = inserted(table, options=replace(FAST, push=push), station=soft)
     assert report.outcome is InsertionOutcome.TARGET
     tip = lab.lab.plant.tip()
     apart = np.array(tip.position_mm) - lab.true_target_mm(table.scenario.target_mm)

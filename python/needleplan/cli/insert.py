@@ -234,16 +234,17 @@ def _setup(options: argparse.Namespace, plan: InsertPlan) -> Any:
         raise InputError(Mistake("--force-axis", options.force_axis, "must be a direction other than 0,0,0"))
     _require_numbers(options, limits)
     gate = _gate(options, plan)
-    beyond = read_push(options.push).beyond_mm if options.push else 0.0
-    if beyond:
-        note(f"target: pushed ahead; the tip goes on by {beyond:.2f} mm")
+    push = read_push(options.push) if options.push else None
+    if push:
+        beyond = push.tissue.beyond_mm(push.tip_n, push.shaft_n, push.length_mm)
+        note(f"target: pushed ahead; a tip that meets its centre goes on by {beyond:.2f} mm")
     how = Options(
         velocity_mm_s=options.speed, velocity_rad_s=math.radians(options.rotation_speed_deg),
         entry_depth_mm=options.entry_depth, homed_by=options.homed_by,
         roll_left_rad=math.radians(options.roll_left_deg),
         longest_mm=limits.deepest_mm - options.entry_depth, torsion=torsion,
         stops=options.stops, replan=not options.no_replan, force_axis=(x / length, y / length, z / length),
-        expected_start=plan.expected_start, beyond_mm=beyond,
+        expected_start=plan.expected_start, push=push,
     )  # fmt: skip
 
     def made(station: Station) -> RunSetup:

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 from needleplan.cli.options import numbers
 from needleplan.errors import InputError, Mistake
 
 if TYPE_CHECKING:
-    from needleplan.models.tissue import NeedlePush
+    from needleplan.models.tissue import TargetPush
 
-__all__ = ["PUSH_FORM", "PUSH_HELP", "Push", "read_push"]
+__all__ = ["PUSH_FORM", "PUSH_HELP", "read_push"]
 
 # Largest plausible shear modulus (N/mm^2) of soft tissue: 1 MPa, above that of cartilage. A larger one is in kPa.
 _STIFFEST_N_MM2 = 1.0
@@ -26,29 +26,9 @@ PUSH_HELP = (
 """Meaning of the numbers of `--push`."""
 
 
-class Push(NamedTuple):
-    """Tissue, force of the tip (N), friction of the shaft (N), and length of the path (mm), infinite if not given."""
-
-    tissue: NeedlePush
-    tip_n: float
-    shaft_n: float
-    length_mm: float
-
-    @property
-    def shift_mm(self) -> float:
-        """Displacement (mm) of a target at the tip."""
-        length = self.length_mm if math.isfinite(self.length_mm) else 0.0
-        return self.tissue.shift_mm(self.tip_n, self.shaft_n, length, ahead_mm=0.0, aside_mm=0.0)
-
-    @property
-    def beyond_mm(self) -> float:
-        """Length (mm) by which the tip must go on to reach the displaced target."""
-        return self.tissue.beyond_mm(self.tip_n, self.shaft_n, self.length_mm)
-
-
-def read_push(text: str) -> Push:
+def read_push(text: str) -> TargetPush:
     """Return the push that the value of `--push` describes. Raises InputError or ModelError."""
-    from needleplan.models.tissue import NeedlePush
+    from needleplan.models.tissue import NeedlePush, TargetPush
 
     force_n, modulus, radius_mm, *shaft = numbers("--push", text, 3, 5, form="F,G,A or F,G,A,S,L")
     friction_n, length_mm = shaft or (0.0, math.inf)
@@ -58,4 +38,4 @@ def read_push(text: str) -> Push:
     wrong = [Mistake(f"--push {name}", f"{value:g}", f"must be {rule}") for name, value, rule, ok in rules if not ok]
     if wrong:
         raise InputError(wrong)
-    return Push(NeedlePush(modulus, radius_mm), force_n, friction_n, length_mm)
+    return TargetPush(NeedlePush(modulus, radius_mm), force_n, friction_n, length_mm)

@@ -17,6 +17,7 @@ from needleplan.estimation.tip import TipSettings
 from needleplan.models import Torsion
 from needleplan.models.deflection import FibreSensors
 from needleplan.models.path import ImagePlane
+from needleplan.models.tissue import NeedlePush, TargetPush
 from needleplan.planning import Table, planned_noise
 
 if TYPE_CHECKING:
@@ -115,9 +116,8 @@ class Options(CallRepr):
     ends the run, unless its cause has already gone. A fault always ends the run. A pause or a retraction that a person
     orders has no time limit: only a person resumes the run."""
 
-    beyond_mm: float = 0.0
-    """Length (mm) by which the tip goes on beyond the place of a target at rest, because the push of the needle moves
-    the target ahead (`NeedlePush.beyond_mm`)."""
+    push: TargetPush | None = None
+    """Push of the needle, which moves the target ahead: the tip goes on beyond the place at rest. None: no push."""
 
     gate: BreathGate | None = None
     """In 3D: when the needle may advance, by breathing; None: at any time."""
@@ -134,7 +134,7 @@ class Options(CallRepr):
             value = getattr(self, option.name)
             if option.name not in _POSITIVE and isinstance(value, float) and not math.isfinite(value):
                 mistakes.append(Mistake(option.name, f"{value:g}", "must be a finite number"))
-        for name in ("lead_s", "replan_share", "resume_s", "roll_tolerance_rad", "settling_frames", "beyond_mm"):
+        for name in ("lead_s", "replan_share", "resume_s", "roll_tolerance_rad", "settling_frames"):
             if getattr(self, name) < 0:
                 mistakes.append(Mistake(name, f"{getattr(self, name):g}", "must be at least 0"))
         if not 1 <= self.decisions_per_step <= 100:
@@ -208,6 +208,8 @@ class RunSetup(CallRepr):
                 options["torsion"] = Torsion(**options["torsion"])
             if options.get("gate") is not None:
                 options["gate"] = BreathGate.from_record(options["gate"])
+            if options.get("push") is not None:
+                options["push"] = TargetPush(NeedlePush(**options["push"].pop("tissue")), **options["push"])
             for name in ("force_axis", "expected_start"):
                 options[name] = options[name] and tuple(options[name])
             return cls(

@@ -7,6 +7,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any, Self
 
+import numpy as np
+
 from needleplan.control._guidance import PlanGuidance, RunEnd, RunStart, Segment, StepChoice, straight_arcs
 from needleplan.control._needle import NeedleState
 from needleplan.control._options import Options
@@ -108,8 +110,10 @@ class PlaneGuidance(PlanGuidance):
 
     def _scene_at(self, tip: TipEstimate) -> ScenarioGeometry:
         """Return the geometry with the target where the push of the needle moves it when the tip arrives as it is."""
-        beyond = self._options.beyond_mm
-        return self.scene.pushed(tip.heading_rad, beyond) if beyond else self.scene
+        if self._options.push is None:
+            return self.scene
+        apart = np.subtract((*self.scene.center_mm, 0.0), tip.position_mm)
+        return self.scene.pushed(tip.heading_rad, self._options.push.beyond_mm(apart, np.array(tip.tangent)))
 
     def outside(self, position_mm: Sequence[float]) -> bool:
         """Return whether a position is more than half a cell outside of the workspace."""

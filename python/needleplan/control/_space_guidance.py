@@ -91,7 +91,7 @@ class SpaceGuidance(PlanGuidance):
         # A tangent beyond the cone is no danger. The decision is that at the rim.
         known = self._table.clamped(pose)
         table = self._table if self._table.contains(known) else self._whole
-        target = self._target(tip.tangent)
+        target = self._target(tip)
         inside, outside = target.code(pose) == TARGET, self.outside(pose) or not table.contains(known)
         if moving and (inside or outside):
             return StepChoice(pose, needs_rest=True)
@@ -156,7 +156,7 @@ class SpaceGuidance(PlanGuidance):
         tangent = np.array(tip.tangent)
         planned = planned_mm[-1] - planned_mm[-2] if len(planned_mm) > 1 else tangent
         planned = planned / np.linalg.norm(planned)
-        target = self._target(tip.tangent)
+        target = self._target(tip)
         apart = np.array(tip.position_mm) - target.center_mm
         along = float(apart @ planned)
         r, a, s = ((apart - along * planned) @ self._scenario.grid.frame.axes).tolist()
@@ -166,9 +166,13 @@ class SpaceGuidance(PlanGuidance):
             space=SpaceErrors((r, a, s), along, angle),
         )  # fmt: skip
 
-    def _target(self, tangent: Vector) -> SpaceTarget:
+    def _target(self, tip: TipEstimate) -> SpaceTarget:
         """Return the target where the push of the needle moves it when the tip arrives as it is."""
-        return SpaceTarget(self._scenario, tangent, self._options.beyond_mm)
+        if self._options.push is None:
+            return self._target_at_rest
+        apart = np.subtract(self._scenario.target_mm, tip.position_mm)
+        beyond = self._options.push.beyond_mm(apart, np.array(tip.tangent))
+        return SpaceTarget(self._scenario, tip.tangent, beyond)
 
     def _base_roll(self, roll_rad: float) -> float:
         """Return an equivalent roll of the base (rad) that does not wind up the needle."""

@@ -7,6 +7,7 @@ from enum import StrEnum
 from functools import lru_cache
 
 from needleplan.control import rescaled
+from needleplan.models.tissue import TargetPush
 from needleplan.planning import PolicyTable, Pose, plan
 from needleplan.scenario import Scenario
 from needleplan.simulation import SimulatedStation, Simulation, simulated_station
@@ -51,7 +52,7 @@ class SteeringCase:
 
     `start` is x_mm, y_mm, heading_rad; None means the best entry. The bevel is that of the lower cost. `servo_hz` is
     the rate of the robot's servo; it is lower than in other labs, because servo samples dominate the computing time.
-    `beyond_mm` is that of the control loop. With `planned_noise` the needle has the tip noise of the plan.
+    `push` is that of the control loop. With `planned_noise` the needle has the tip noise of the plan.
     """
 
     name: str
@@ -61,7 +62,7 @@ class SteeringCase:
     velocity_mm_s: float = 10.0
     velocity_rad_s: float = 10.0
     servo_hz: int = 400
-    beyond_mm: float = 0.0
+    push: TargetPush | None = None
     planned_noise: bool = False
 
     @property

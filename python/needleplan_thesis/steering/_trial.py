@@ -100,7 +100,7 @@ def _with_feedback(task: SteeringTask) -> SteeringTrial:
     options = Options(
         velocity_mm_s=case.velocity_mm_s, velocity_rad_s=case.velocity_rad_s, torsion=station.torsion,
         needle_length_mm=station.needle_length_mm,
-        replan=task.guidance is Guidance.REPLANNED, beyond_mm=case.beyond_mm,
+        replan=task.guidance is Guidance.REPLANNED, push=case.push,
     )  # fmt: skip
     limits = SafetyLimits(insertion_velocity_mm_s=max(case.velocity_mm_s, SafetyLimits().insertion_velocity_mm_s))
     truth = _Truth(station.lab.plant)

@@ -7,7 +7,7 @@ import pytest
 from scipy.integrate import quad
 
 from needleplan.errors import ModelError
-from needleplan.models.tissue import NeedlePush
+from needleplan.models.tissue import NeedlePush, TargetPush
 from tests.models.tissue.finite_elements import pushed
 
 G, RADIUS, FORCE = 0.02, 0.6, 0.4
@@ -20,6 +20,11 @@ def test_a_tip_that_goes_on_reaches_the_displaced_target() -> None:
         inserted = length if math.isfinite(length) else 0.0
         assert PUSH.shift_mm(tip_n, shaft_n, inserted, ahead_mm=-beyond, aside_mm=0.0) == pytest.approx(beyond)
         assert 0 < beyond < PUSH.shift_mm(tip_n, shaft_n, inserted, ahead_mm=0.0, aside_mm=0.0)
+        push = TargetPush(PUSH, tip_n, shaft_n, length)
+        beside = push.beyond_mm(np.array((20.0, 3.0)), np.array((1.0, 0.0)))
+        assert 0 < beside < beyond
+        shift = PUSH.shift_mm(tip_n, shaft_n, inserted, ahead_mm=-beside, aside_mm=3.0)
+        assert beside == pytest.approx(shift, abs=1e-5)
     assert PUSH.beyond_mm(0.0) == 0.0
 
 

@@ -6,13 +6,13 @@
 | `LumpedOnTissue` | Model II of chapter 3 on Kelvin-Voigt tissue |
 | `AveragedOnTissue` | Models III-A and III-B of chapter 3 on Kelvin-Voigt tissue |
 | `fit_on_tissue` | joint identification of tissue and friction |
-| `NeedlePush` | displacement of a target by the push of the needle |
+| `NeedlePush`, `TargetPush` | displacement of a target by the push of the needle |
 | `tune_slow_observer` | the slow observer of the thesis, tuned automatically |
 """
 
 from needleplan.models.tissue._joint_fit import fit_on_tissue, lag_with_sd, tissue_lag_rad, tissue_start
 from needleplan.models.tissue._moving import AveragedOnTissue, LuGreLaw, LumpedOnTissue, MovingTissue, PointwiseLaw
-from needleplan.models.tissue._push import NeedlePush
+from needleplan.models.tissue._push import NeedlePush, TargetPush
 from needleplan.models.tissue._slow_observer import SlowObserver, TuningStatus, tune_slow_observer
 from needleplan.models.tissue._stepping import FrictionLaw, bristle_step, stepping
 
@@ -25,6 +25,7 @@ __all__ = [
     "NeedlePush",
     "PointwiseLaw",
     "SlowObserver",
+    "TargetPush",
     "TuningStatus",
     "bristle_step",
     "fit_on_tissue",

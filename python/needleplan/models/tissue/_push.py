@@ -31,8 +31,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from needleplan.errors import Mistake, ModelError
+from needleplan.signals import Array
 
-__all__ = ["NeedlePush"]
+__all__ = ["NeedlePush", "TargetPush"]
+
+# Width (mm) of the bracket of a root.
+_SAME_MM = 1e-6
 
 # Places on -1 to 1 and weights of Gauss' rule along the shaft.
 _PLACES, _WEIGHTS = np.polynomial.legendre.leggauss(16)
@@ -138,28 +142,30 @@ class NeedlePush:
             )
         return self._per_mm() * (tip + shaft)
 
-    def beyond_mm(self, tip_n: float, shaft_n: float = 0.0, inserted_mm: float = math.inf) -> float:
+    def beyond_mm(
+        self, tip_n: float, shaft_n: float = 0.0, inserted_mm: float = math.inf, aside_mm: float = 0.0
+    ) -> float:
         """Return how much further than to the place of a target at rest a tip must go to reach the displaced target.
 
         Parameters
         ----------
         tip_n, shaft_n, inserted_mm : float
             As in `shift_mm`; an infinite length means far from the surface, without friction.
+        aside_mm : float
+            Distance of the target from the axis of the needle.
 
         Returns
         -------
         float
-            Length (mm) beyond the place at rest, on the axis of the needle: the root s of shift(ahead = -s) = s.
+            Length (mm) beyond the place at rest, along the needle: the root s of shift(ahead = -s) = s.
         """
-        from scipy.optimize import brentq  # only for a plan of an insertion into tissue that gives way
-
         length = inserted_mm if math.isfinite(inserted_mm) else 0.0
-
-        def left(beyond_mm: float) -> float:
-            return self.shift_mm(tip_n, shaft_n, length, ahead_mm=-beyond_mm, aside_mm=0.0) - beyond_mm
-
-        largest = self.shift_mm(tip_n, shaft_n, length, ahead_mm=0.0, aside_mm=0.0)
-        return float(brentq(left, 0.0, 2 * largest)) if largest > 0 else 0.0
+        low, high = 0.0, 2 * self.shift_mm(tip_n, shaft_n, length, ahead_mm=0.0, aside_mm=aside_mm)
+        while high - low > _SAME_MM:
+            middle = (low + high) / 2
+            shift = self.shift_mm(tip_n, shaft_n, length, ahead_mm=-middle, aside_mm=aside_mm)
+            low, high = (middle, high) if shift > middle else (low, middle)
+        return max(high, 0.0)
 
     def _along(self, s: float, rho: float) -> float:
         return (4 - 4 * self.poisson) * math.asinh(s / rho) - s / math.hypot(s, rho)
@@ -173,3 +179,47 @@ class NeedlePush:
             + ((3 - 4 * nu) * apart**2 - 2 * source_mm * depth_mm) / r**3
             + 6 * source_mm * depth_mm * apart**2 / r**5
         )
+
+
+@dataclass(frozen=True)
+class TargetPush:
+    """Push of a needle on its target: the tissue, and the forces when the tip arrives.
+
+    Parameters
+    ----------
+    tissue : NeedlePush
+        Tissue around the needle.
+    tip_n, shaft_n : float
+        Force of the tip and friction of the shaft (N).
+    length_mm : float
+        Length of the path (mm); infinite: far from the surface, without friction.
+    """
+
+    tissue: NeedlePush
+    tip_n: float
+    shaft_n: float = 0.0
+    length_mm: float = math.inf
+
+    @property
+    def shift_mm(self) -> float:
+        """Displacement (mm) of a target at the tip."""
+        length = self.length_mm if math.isfinite(self.length_mm) else 0.0
+        return self.tissue.shift_mm(self.tip_n, self.shaft_n, length, ahead_mm=0.0, aside_mm=0.0)
+
+    def beyond_mm(self, apart_mm: Array, tangent: Array) -> float:
+        """Return how much further than to the place at rest a tip must go that passes the target.
+
+        Parameters
+        ----------
+        apart_mm : numpy.ndarray
+            Place of the target at rest relative to a point of the axis of the needle (mm), shape (2,) or (3,).
+        tangent : numpy.ndarray
+            Unit vector along the needle.
+
+        Returns
+        -------
+        float
+            Length (mm), as of `NeedlePush.beyond_mm`.
+        """
+        aside = float(np.linalg.norm(apart_mm - (apart_mm @ tangent) * tangent))
+        return self.tissue.beyond_mm(self.tip_n, self.shaft_n, self.length_mm, aside)
