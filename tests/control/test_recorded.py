@@ -24,6 +24,7 @@ from needleplan.estimation.tip import TipSettings
 from needleplan.models import Torsion
 from needleplan.models.deflection import FibreSensors
 from needleplan.models.path import ImagePlane
+from needleplan.models.tissue import NeedlePush, TargetPush
 from needleplan.planning import plan
 from needleplan.recording import EVENT, Recorder, Recording, Session, read_records
 from needleplan.recording.export import FORMATS
@@ -170,7 +171,8 @@ def test_a_recording_of_something_else_is_refused(tmp_path: Path) -> None:
 
 
 def test_the_setup_comes_back_from_its_texts() -> None:
-    setup = RunSetup(replace(FAST, torsion=Torsion(1.5e4, 0.05), force_axis=(0.0, 0.0, -1.0)), WIDE)
+    push = TargetPush(NeedlePush(0.01, 0.6), 0.3)
+    setup = RunSetup(replace(FAST, torsion=Torsion(1.5e4, 0.05), force_axis=(0.0, 0.0, -1.0), push=push), WIDE)
     assert RunSetup.from_texts(setup.texts) == setup
     options = json.loads(setup.texts["options.json"]) | {"velocity_mm_s": -1.0}
     with pytest.raises(DataError, match="velocity_mm_s"):

@@ -36,7 +36,7 @@ from needleplan.signals import Array
 __all__ = ["NeedlePush", "TargetPush"]
 
 # Width (mm) of the bracket of a root.
-_SAME_MM = 1e-6
+_SAME_MM = 1e-9
 
 # Places on -1 to 1 and weights of Gauss' rule along the shaft.
 _PLACES, _WEIGHTS = np.polynomial.legendre.leggauss(16)
