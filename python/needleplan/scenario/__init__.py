@@ -1,5 +1,6 @@
 """The scenario: anatomy, target, needle, tip noise, grid, objective and solver, stored as TOML."""
 
+from needleplan.scenario._curvature_map import PlaneCurvatureMap
 from needleplan.scenario._identified import CurvaturePiece, EntryPose, Identified, identified, pieces_of, within
 from needleplan.scenario._obstacle import Obstacle
 from needleplan.scenario._parts import (
@@ -31,6 +32,7 @@ __all__ = [
     "Needle",
     "Objective",
     "Obstacle",
+    "PlaneCurvatureMap",
     "Priority",
     "Scenario",
     "ShippedScenario",

@@ -271,7 +271,7 @@ class Plant:
             bend = curvature
         if bend is None:
             assert self._places is not None
-            bend = self._places.at(tip.position_mm)
+            bend = self._places.at(*tip.position_mm)
         power = self.setup.effects.curvature_speed_power
         if power:
             bend *= speed_factor(max(abs(self.insertion.velocity), _SLOWEST_MM_S), power, power)

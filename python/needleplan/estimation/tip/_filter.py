@@ -40,7 +40,7 @@ from needleplan.estimation.tip._predictor import PathPredictor, Planned
 from needleplan.estimation.tip._windows import FibreWindows
 from needleplan.models.deflection import FibreSensors
 from needleplan.models.path import ImagePlane
-from needleplan.scenario import Scenario
+from needleplan.scenario import PlaneCurvatureMap, Scenario
 from needleplan.signals import Array
 
 __all__ = ["TipFilter"]
@@ -152,8 +152,9 @@ class TipFilter:
         -------
         TipFilter
         """
-        radius = scenario.needle.curvature_radius_mm
-        planned = 1 / radius if scenario.uniform else lambda x, y, _: 1 / float(scenario.radius_mm(x, y))
+        planned: Planned = 1 / scenario.needle.curvature_radius_mm
+        if not scenario.uniform:
+            planned = PlaneCurvatureMap(scenario).at
         return cls(registration, entry, planned, settings, fibre, plane)
 
     def predict(self, sample: StageSample) -> None:

@@ -30,6 +30,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from needleplan.artifacts import ShortRepr
 from needleplan.errors import Mistake, ModelError
 from needleplan.signals import Array
 
@@ -182,7 +183,7 @@ class NeedlePush:
 
 
 @dataclass(frozen=True)
-class TargetPush:
+class TargetPush(ShortRepr):
     """Push of a needle on its target: the tissue, and the forces when the tip arrives.
 
     Parameters
