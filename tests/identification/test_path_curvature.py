@@ -53,8 +53,8 @@ def coverage(
     [
         (white, {"noise": TrackerNoise.WHITE}),
         (white, {}),
-        (lambda random: correlated(random, 5.0), {}),
-        (lambda random: correlated(random, 20.0), {"correlation_mm": 20.0}),
+        pytest.param(lambda random: correlated(random, 5.0), {}, marks=pytest.mark.study),
+        pytest.param(lambda random: correlated(random, 20.0), {"correlation_mm": 20.0}, marks=pytest.mark.study),
     ],
 )
 def test_the_interval_holds_the_truth(
