@@ -98,10 +98,7 @@ def test_it_reaches_the_user(tmp_path: Path, capsys: pytest.CaptureFixture[str])
     write_records(records(jumped, "now"), now)
     write_records(records(steady, "before"), before)
     assert main(["identify", "deflection", now, "--json"]) == 0
-    said = capsys.readouterr().out
-    assert "order of the 7 insertions" in said
-    assert "the insertions drift" in said
-    alone = json.loads(said)["prediction"]
+    alone = json.loads(capsys.readouterr().out)["prediction"]
     assert main(["identify", "deflection", now, "--other-series", before, "--json"]) == 0
     answer = json.loads(capsys.readouterr().out)["prediction"]
     assert answer["drift"] > 0.5
