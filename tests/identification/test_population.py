@@ -101,7 +101,7 @@ def test_it_reaches_the_user(tmp_path: Path, capsys: pytest.CaptureFixture[str])
     alone = json.loads(capsys.readouterr().out)["prediction"]
     assert main(["identify", "deflection", now, "--other-series", before, "--json"]) == 0
     answer = json.loads(capsys.readouterr().out)["prediction"]
-    assert answer["drift"] > 0.5
+    assert 0.5 < answer["drift"] <= 1.0
     low, high = answer["y_new_series_mm"]
     assert high - low < alone["y_new_series_mm"][1] - alone["y_new_series_mm"][0]
     assert main(["identify", "deflection", now, "--other-series", now]) == 2
