@@ -32,7 +32,7 @@ test:
 export PYTHONDONTWRITEBYTECODE :=
 
 # Two processes of pytest use two processors. A third would collect all tests and make fixtures of modules once more: a third more
-# processor time. OpenBLAS with threads of its own would make small matrices several times slower.
+# processor time; only the slow tests, a quarter of whose time is waiting for robots and pages, gain by it. OpenBLAS with threads of its own would make small matrices several times slower.
 python test-slow studies: export OPENBLAS_NUM_THREADS := 1
 
 # Collecting all tests for five would take longer than they do.
@@ -40,7 +40,7 @@ REALTIME := $(shell grep --recursive --files-with-matches --include='test_*.py' 
 
 # The tests marked slow.
 test-slow: install-test
-	$(BIN)/python -m pytest -m "slow and not study" -n 2 --dist worksteal
+	$(BIN)/python -m pytest -m "slow and not study" -n 3 --dist worksteal
 	$(BIN)/python -m pytest -m realtime $(REALTIME)
 
 # Statistics of many runs: how often intervals hold, promises against executions, blind data sets, measured

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 PROGRAM = Path(__file__).parents[1] / "benches" / "python" / "fuzz_parsers.py"
-RUNS = {"robot": 2000, "machine": 50, "ati": 2000, "ndi": 800, "igtl": 800, "recording": 40}
+RUNS = {"robot": 1000, "machine": 50, "ati": 2000, "ndi": 800, "igtl": 400, "recording": 40}
 
 # Memory that a parser may take, MB: the limit that libFuzzer has by itself.
 MEMORY_MB = 2048

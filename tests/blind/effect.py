@@ -3,9 +3,6 @@
 from abc import ABC
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Self
-
-import numpy as np
 
 from tests.blind.base import Scene
 from tests.blind.contact import Compliance
@@ -66,13 +63,3 @@ class Effect(Hidden, ABC):
         """What the sensor shows beside the force that acts on it (T, R), before its filter."""
         del scene, force_n
         return 0.0
-
-
-@dataclass(frozen=True)
-class PlainEffect(Effect, ABC):
-    """An effect without other parameters than its size."""
-
-    @classmethod
-    def drawn(cls, rng: np.random.Generator, reach_mm: float) -> Self:
-        del rng, reach_mm
-        return cls(0.0)

@@ -1,7 +1,7 @@
 """What hidden effects of both channels have in common: a name, a size, parameters; axes of those without a name."""
 
-from abc import ABC, abstractmethod
-from dataclasses import dataclass, fields, replace
+from abc import ABC
+from dataclasses import dataclass, field, fields, replace
 from enum import StrEnum
 from typing import Any, ClassVar, Self
 
@@ -20,6 +20,15 @@ class Axis(StrEnum):
     ROTATION = "rotation"
 
 
+# The scale of a parameter that is a share of what the training motions reach.
+REACH = 0.0
+
+
+def within(low: float, high: float, of: float = 1.0) -> Any:
+    """A parameter that is drawn between two shares of a scale."""
+    return field(metadata={"within": (low, high, of)})
+
+
 @dataclass(frozen=True)
 class Hidden(ABC):
     """One hidden effect. size carries its strength, in UNIT; 0 is the base to the last bit.
@@ -32,15 +41,25 @@ class Hidden(ABC):
     UNIT: ClassVar[str]
     LARGEST: ClassVar[float]
     FIRST: ClassVar[float]  # a size to begin the search with
-    LINEAR: ClassVar[bool] = True
-    SIGNED: ClassVar[bool] = False
+    LINEAR: ClassVar[bool]
+    SIGNED: ClassVar[bool]
+    AXIS: ClassVar[Axis | None]
 
     size: float
 
+    def __init_subclass__(
+        cls, name: StrEnum | None = None, unit: str = "", largest: float = 0.0, first: float = 0.0,
+        linear: bool = True, signed: bool = False, axis: Axis | None = None,
+    ) -> None:  # fmt: skip
+        if name is not None:
+            cls.NAME, cls.UNIT, cls.LARGEST, cls.FIRST = name, unit, largest, first
+            cls.LINEAR, cls.SIGNED, cls.AXIS = linear, signed, axis
+
     @classmethod
-    @abstractmethod
     def drawn(cls, rng: np.random.Generator, reach_mm: float) -> Self:
         """The effect with size 0 and its other parameters at random, placed within what the training motions reach."""
+        ranges = [each.metadata["within"] for each in fields(cls) if each.metadata]
+        return cls(0.0, *((of or reach_mm) * rng.uniform(low, high) for low, high, of in ranges))
 
     def with_size(self, size: float) -> Self:
         return replace(self, size=size)

@@ -4,53 +4,31 @@ TUNING are those that thresholds may be tuned with. NEVER_TUNED are kept for rep
 """
 
 from dataclasses import dataclass
-from typing import ClassVar, Self
 
 import numpy as np
 
 from tests.blind.base import Scene
-from tests.blind.effect import Effect, ForceName, PlainEffect
-from tests.blind.hidden import Axis
+from tests.blind.effect import Effect, ForceName
+from tests.blind.hidden import Axis, within
 from tests.blind.motions import SECONDS, STEP_S, Array
 
 
 @dataclass(frozen=True)
-class SlipStep(Effect):
+class SlipStep(Effect, name=ForceName.SLIP_STEP, axis=Axis.TIME, unit="N", largest=1.0, first=0.1, signed=True):
     """The needle slips in its clamp at time_s: the zero is another one from then on."""
 
-    NAME: ClassVar = ForceName.SLIP_STEP
-    AXIS: ClassVar = Axis.TIME
-    UNIT: ClassVar = "N"
-    LARGEST: ClassVar = 1.0
-    FIRST: ClassVar = 0.1
-    SIGNED: ClassVar = True
-    slip_s: float
-
-    @classmethod
-    def drawn(cls, rng: np.random.Generator, reach_mm: float) -> Self:
-        del reach_mm
-        return cls(0.0, SECONDS * rng.uniform(0.3, 0.7))
+    slip_s: float = within(0.3, 0.7, of=SECONDS)
 
     def reading_n(self, scene: Scene, force_n: Array) -> Array:
         return self.size * (scene.time_s[:, None] > self.slip_s) + np.zeros_like(force_n)
 
 
 @dataclass(frozen=True)
-class MotorRipple(Effect):
+class MotorRipple(Effect, name=ForceName.MOTOR_RIPPLE, axis=Axis.PERIODIC, unit="N", largest=1.0, first=0.1):
     """The spindle presses with each turn, whether the needle is in the tissue or not."""
 
-    NAME: ClassVar = ForceName.MOTOR_RIPPLE
-    AXIS: ClassVar = Axis.PERIODIC
-    UNIT: ClassVar = "N"
-    LARGEST: ClassVar = 1.0
-    FIRST: ClassVar = 0.1
-    pitch_mm: float
-    phase_rad: float
-
-    @classmethod
-    def drawn(cls, rng: np.random.Generator, reach_mm: float) -> Self:
-        del reach_mm
-        return cls(0.0, rng.uniform(1.5, 5.0), rng.uniform(0, 2 * np.pi))
+    pitch_mm: float = within(1.5, 5.0)
+    phase_rad: float = within(0, 2 * np.pi)
 
     def reading_n(self, scene: Scene, force_n: Array) -> Array:
         del force_n
@@ -58,20 +36,10 @@ class MotorRipple(Effect):
 
 
 @dataclass(frozen=True)
-class Buckling(Effect):
+class Buckling(Effect, name=ForceName.BUCKLING, axis=Axis.FORCE, unit="1", largest=0.9, first=0.2):
     """Above a force the needle bows and carries less than it is pushed with; size is the share lost above it."""
 
-    NAME: ClassVar = ForceName.BUCKLING
-    AXIS: ClassVar = Axis.FORCE
-    UNIT: ClassVar = "1"
-    LARGEST: ClassVar = 0.9
-    FIRST: ClassVar = 0.2
-    from_n: float
-
-    @classmethod
-    def drawn(cls, rng: np.random.Generator, reach_mm: float) -> Self:
-        del reach_mm
-        return cls(0.0, rng.uniform(0.4, 0.7))
+    from_n: float = within(0.4, 0.7)
 
     def reading_n(self, scene: Scene, force_n: Array) -> Array:
         del scene
@@ -79,15 +47,8 @@ class Buckling(Effect):
 
 
 @dataclass(frozen=True)
-class GainCurve(PlainEffect):
+class GainCurve(Effect, name=ForceName.GAIN_CURVE, axis=Axis.FORCE, unit="1/N", largest=0.6, first=0.05, signed=True):
     """The sensor's characteristic is bent: the reading errs with the square of the force."""
-
-    NAME: ClassVar = ForceName.GAIN_CURVE
-    AXIS: ClassVar = Axis.FORCE
-    UNIT: ClassVar = "1/N"
-    LARGEST: ClassVar = 0.6
-    FIRST: ClassVar = 0.05
-    SIGNED: ClassVar = True
 
     def reading_n(self, scene: Scene, force_n: Array) -> Array:
         del scene
@@ -95,14 +56,8 @@ class GainCurve(PlainEffect):
 
 
 @dataclass(frozen=True)
-class EntrySpring(PlainEffect):
+class EntrySpring(Effect, name=ForceName.ENTRY_SPRING, axis=Axis.DEPTH, unit="N/mm", largest=0.03, first=0.002):
     """A sleeve at the entry is stretched by the needle: it pulls back in proportion to the depth, either direction."""
-
-    NAME: ClassVar = ForceName.ENTRY_SPRING
-    AXIS: ClassVar = Axis.DEPTH
-    UNIT: ClassVar = "N/mm"
-    LARGEST: ClassVar = 0.03
-    FIRST: ClassVar = 0.002
 
     def load_n(self, scene: Scene, friction_n: Array, cutting_n: Array) -> Array:
         del friction_n, cutting_n
@@ -110,15 +65,10 @@ class EntrySpring(PlainEffect):
 
 
 @dataclass(frozen=True)
-class SpeedCrosstalk(PlainEffect):
+class SpeedCrosstalk(
+    Effect, name=ForceName.SPEED_CROSSTALK, axis=Axis.SPEED, unit="N s/mm", largest=0.1, first=0.01, signed=True
+):
     """The motor's current gets into the sensor's cable: the reading rises with the speed, whichever its direction."""
-
-    NAME: ClassVar = ForceName.SPEED_CROSSTALK
-    AXIS: ClassVar = Axis.SPEED
-    UNIT: ClassVar = "N s/mm"
-    LARGEST: ClassVar = 0.1
-    FIRST: ClassVar = 0.01
-    SIGNED: ClassVar = True
 
     def reading_n(self, scene: Scene, force_n: Array) -> Array:
         del force_n
@@ -126,14 +76,8 @@ class SpeedCrosstalk(PlainEffect):
 
 
 @dataclass(frozen=True)
-class Ageing(PlainEffect):
+class Ageing(Effect, name=ForceName.AGEING, axis=Axis.HOLD, unit="1", largest=3.0, first=0.3):
     """The contact strengthens while it rests, and tears off over the first millimetres of the next move."""
-
-    NAME: ClassVar = ForceName.AGEING
-    AXIS: ClassVar = Axis.HOLD
-    UNIT: ClassVar = "1"
-    LARGEST: ClassVar = 3.0
-    FIRST: ClassVar = 0.3
 
     def load_n(self, scene: Scene, friction_n: Array, cutting_n: Array) -> Array:
         del cutting_n
@@ -148,21 +92,11 @@ class Ageing(PlainEffect):
 
 
 @dataclass(frozen=True)
-class Vibration(Effect):
+class Vibration(Effect, name=ForceName.VIBRATION, axis=Axis.TIME, unit="N", largest=1.0, first=0.1):
     """A pump beside the table runs, from some moment on."""
 
-    NAME: ClassVar = ForceName.VIBRATION
-    AXIS: ClassVar = Axis.TIME
-    UNIT: ClassVar = "N"
-    LARGEST: ClassVar = 1.0
-    FIRST: ClassVar = 0.1
-    from_s: float
-    frequency_hz: float
-
-    @classmethod
-    def drawn(cls, rng: np.random.Generator, reach_mm: float) -> Self:
-        del reach_mm
-        return cls(0.0, SECONDS * rng.uniform(0.1, 0.5), rng.uniform(1.0, 4.0))
+    from_s: float = within(0.1, 0.5, of=SECONDS)
+    frequency_hz: float = within(1.0, 4.0)
 
     def reading_n(self, scene: Scene, force_n: Array) -> Array:
         wave = np.sin(2 * np.pi * self.frequency_hz * (scene.time_s - self.from_s)) * (scene.time_s > self.from_s)

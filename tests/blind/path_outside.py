@@ -1,33 +1,22 @@
 """Hidden effects of the tip path outside of any library. NEVER_TUNED_PATH: never used while tuning."""
 
 from dataclasses import dataclass
-from typing import ClassVar, Self
 
 import numpy as np
 
 from tests.blind.curve import Course, Steered
-from tests.blind.hidden import Axis
+from tests.blind.hidden import REACH, Axis, within
 from tests.blind.motions import Array
 from tests.blind.path_effect import PathEffect, PathName, side
 from tests.blind.steering import SECONDS
 
 
 @dataclass(frozen=True)
-class StageWobble(PathEffect):
+class StageWobble(PathEffect, name=PathName.STAGE_WOBBLE, axis=Axis.PERIODIC, unit="mm", largest=3.0, first=0.2):
     """The spindle of the stage is bent: the needle is carried sideways and back with each turn."""
 
-    NAME: ClassVar = PathName.STAGE_WOBBLE
-    AXIS: ClassVar = Axis.PERIODIC
-    UNIT: ClassVar = "mm"
-    LARGEST: ClassVar = 3.0
-    FIRST: ClassVar = 0.2
-    toward_rad: float
-    pitch_mm: float
-
-    @classmethod
-    def drawn(cls, rng: np.random.Generator, reach_mm: float) -> Self:
-        del reach_mm
-        return cls(0.0, rng.uniform(0, 2 * np.pi), rng.uniform(5.0, 12.0))
+    toward_rad: float = within(0, 2 * np.pi)
+    pitch_mm: float = within(5.0, 12.0)
 
     def shift_mm(self, steered: Steered, course: Course) -> Array:
         del course
@@ -35,21 +24,11 @@ class StageWobble(PathEffect):
 
 
 @dataclass(frozen=True)
-class Notch(PathEffect):
+class Notch(PathEffect, name=PathName.NOTCH, axis=Axis.DEPTH, unit="rad", largest=0.3, first=0.02, linear=False):
     """Something hard at depth_mm turns the tip aside by size, the same way whatever its bevel."""
 
-    NAME: ClassVar = PathName.NOTCH
-    AXIS: ClassVar = Axis.DEPTH
-    UNIT: ClassVar = "rad"
-    LARGEST: ClassVar = 0.3
-    FIRST: ClassVar = 0.02
-    LINEAR: ClassVar = False
-    toward_rad: float
-    depth_mm: float
-
-    @classmethod
-    def drawn(cls, rng: np.random.Generator, reach_mm: float) -> Self:
-        return cls(0.0, rng.uniform(0, 2 * np.pi), reach_mm * rng.uniform(0.3, 0.6))
+    toward_rad: float = within(0, 2 * np.pi)
+    depth_mm: float = within(0.3, 0.6, of=REACH)
 
     def bend_1_mm(self, steered: Steered) -> Array:
         around = np.exp(-0.5 * ((steered.depth_mm - self.depth_mm) / 0.6) ** 2) / (0.6 * np.sqrt(2 * np.pi))
@@ -57,21 +36,11 @@ class Notch(PathEffect):
 
 
 @dataclass(frozen=True)
-class TrackerJump(PathEffect):
+class TrackerJump(PathEffect, name=PathName.TRACKER_JUMP, axis=Axis.TIME, unit="mm", largest=5.0, first=0.2):
     """Somebody bumps into the tracker's field generator."""
 
-    NAME: ClassVar = PathName.TRACKER_JUMP
-    AXIS: ClassVar = Axis.TIME
-    UNIT: ClassVar = "mm"
-    LARGEST: ClassVar = 5.0
-    FIRST: ClassVar = 0.2
-    toward_rad: float
-    bump_s: float
-
-    @classmethod
-    def drawn(cls, rng: np.random.Generator, reach_mm: float) -> Self:
-        del reach_mm
-        return cls(0.0, rng.uniform(0, 2 * np.pi), SECONDS * rng.uniform(0.2, 0.7))
+    toward_rad: float = within(0, 2 * np.pi)
+    bump_s: float = within(0.2, 0.7, of=SECONDS)
 
     def shift_mm(self, steered: Steered, course: Course) -> Array:
         after = (steered.time_s > self.bump_s)[:, None, None]
@@ -79,20 +48,10 @@ class TrackerJump(PathEffect):
 
 
 @dataclass(frozen=True)
-class TurnSlip(PathEffect):
+class TurnSlip(PathEffect, name=PathName.TURN_SLIP, axis=Axis.ROTATION, unit="mm", largest=3.0, first=0.2):
     """A turn drills: the tip slips sideways by size for half a turn, and stays there."""
 
-    NAME: ClassVar = PathName.TURN_SLIP
-    AXIS: ClassVar = Axis.ROTATION
-    UNIT: ClassVar = "mm"
-    LARGEST: ClassVar = 3.0
-    FIRST: ClassVar = 0.2
-    toward_rad: float
-
-    @classmethod
-    def drawn(cls, rng: np.random.Generator, reach_mm: float) -> Self:
-        del reach_mm
-        return cls(0.0, rng.uniform(0, 2 * np.pi))
+    toward_rad: float = within(0, 2 * np.pi)
 
     def shift_mm(self, steered: Steered, course: Course) -> Array:
         del course
@@ -101,20 +60,10 @@ class TurnSlip(PathEffect):
 
 
 @dataclass(frozen=True)
-class SpeedPull(PathEffect):
+class SpeedPull(PathEffect, name=PathName.SPEED_PULL, axis=Axis.SPEED, unit="mm", largest=3.0, first=0.2):
     """The motor's field pulls at the tracker: the reading is aside by size at 5 mm/s."""
 
-    NAME: ClassVar = PathName.SPEED_PULL
-    AXIS: ClassVar = Axis.SPEED
-    UNIT: ClassVar = "mm"
-    LARGEST: ClassVar = 3.0
-    FIRST: ClassVar = 0.2
-    toward_rad: float
-
-    @classmethod
-    def drawn(cls, rng: np.random.Generator, reach_mm: float) -> Self:
-        del reach_mm
-        return cls(0.0, rng.uniform(0, 2 * np.pi))
+    toward_rad: float = within(0, 2 * np.pi)
 
     def shift_mm(self, steered: Steered, course: Course) -> Array:
         del course
@@ -122,22 +71,11 @@ class SpeedPull(PathEffect):
 
 
 @dataclass(frozen=True)
-class Waving(PathEffect):
+class Waving(PathEffect, name=PathName.WAVING, axis=Axis.DEPTH, unit="1/mm", largest=0.02, first=1e-3, linear=False):
     """Fibres lead the tip to and fro along the path, whatever its bevel."""
 
-    NAME: ClassVar = PathName.WAVING
-    AXIS: ClassVar = Axis.DEPTH
-    UNIT: ClassVar = "1/mm"
-    LARGEST: ClassVar = 0.02
-    FIRST: ClassVar = 1e-3
-    LINEAR: ClassVar = False
-    toward_rad: float
-    length_mm: float
-
-    @classmethod
-    def drawn(cls, rng: np.random.Generator, reach_mm: float) -> Self:
-        del reach_mm
-        return cls(0.0, rng.uniform(0, 2 * np.pi), rng.uniform(20.0, 35.0))
+    toward_rad: float = within(0, 2 * np.pi)
+    length_mm: float = within(20.0, 35.0)
 
     def bend_1_mm(self, steered: Steered) -> Array:
         wave = np.cos(2 * np.pi * steered.depth_mm / self.length_mm)  # so the heading waves about the axis

@@ -1,32 +1,25 @@
 """Hidden effects between needle and tissue."""
 
 from dataclasses import dataclass, replace
-from typing import ClassVar, Self
+from typing import Self
 
 import numpy as np
 from scipy.special import expit
 
 from tests.blind.base import Scene
 from tests.blind.contact import CENTRES_MM, ELEMENTS, Compliance
-from tests.blind.effect import Effect, ForceName, PlainEffect
+from tests.blind.effect import Effect, ForceName
+from tests.blind.hidden import REACH, within
 from tests.blind.motions import STEP_S, Array
 
 
 @dataclass(frozen=True)
-class Puncture(Effect):
+class Puncture(Effect, name=ForceName.PUNCTURE, unit="N", largest=3.0, first=0.2):
     """A membrane dents over rise_mm, bursts at depth_mm and lets go within release_mm; once, and only on the way in."""
 
-    NAME: ClassVar = ForceName.PUNCTURE
-    UNIT: ClassVar = "N"
-    LARGEST: ClassVar = 3.0
-    FIRST: ClassVar = 0.2
-    depth_mm: float
-    rise_mm: float
-    release_mm: float
-
-    @classmethod
-    def drawn(cls, rng: np.random.Generator, reach_mm: float) -> Self:
-        return cls(0.0, reach_mm * rng.uniform(0.25, 0.75), rng.uniform(2.5, 4.5), rng.uniform(0.3, 0.6))
+    depth_mm: float = within(0.25, 0.75, of=REACH)
+    rise_mm: float = within(2.5, 4.5)
+    release_mm: float = within(0.3, 0.6)
 
     def load_n(self, scene: Scene, friction_n: Array, cutting_n: Array) -> Array:
         del friction_n, cutting_n
@@ -37,19 +30,11 @@ class Puncture(Effect):
 
 
 @dataclass(frozen=True)
-class FrictionLayer(Effect):
+class FrictionLayer(Effect, name=ForceName.FRICTION_LAYER, unit="N/mm", largest=0.04, first=0.005):
     """More friction beyond depth_mm, over a soft edge."""
 
-    NAME: ClassVar = ForceName.FRICTION_LAYER
-    UNIT: ClassVar = "N/mm"
-    LARGEST: ClassVar = 0.04
-    FIRST: ClassVar = 0.005
-    depth_mm: float
-    edge_mm: float
-
-    @classmethod
-    def drawn(cls, rng: np.random.Generator, reach_mm: float) -> Self:
-        return cls(0.0, reach_mm * rng.uniform(0.25, 0.65), rng.uniform(0.3, 0.8))
+    depth_mm: float = within(0.25, 0.65, of=REACH)
+    edge_mm: float = within(0.3, 0.8)
 
     def load_n(self, scene: Scene, friction_n: Array, cutting_n: Array) -> Array:
         del friction_n, cutting_n
@@ -58,19 +43,11 @@ class FrictionLayer(Effect):
 
 
 @dataclass(frozen=True)
-class CuttingLayer(Effect):
+class CuttingLayer(Effect, name=ForceName.CUTTING_LAYER, unit="N", largest=1.2, first=0.1):
     """More, or less, cutting force beyond depth_mm, over a soft edge."""
 
-    NAME: ClassVar = ForceName.CUTTING_LAYER
-    UNIT: ClassVar = "N"
-    LARGEST: ClassVar = 1.2
-    FIRST: ClassVar = 0.1
-    depth_mm: float
-    edge_mm: float
-
-    @classmethod
-    def drawn(cls, rng: np.random.Generator, reach_mm: float) -> Self:
-        return cls(0.0, reach_mm * rng.uniform(0.25, 0.7), rng.uniform(0.2, 0.5))
+    depth_mm: float = within(0.25, 0.7, of=REACH)
+    edge_mm: float = within(0.2, 0.5)
 
     def load_n(self, scene: Scene, friction_n: Array, cutting_n: Array) -> Array:
         del friction_n, cutting_n
@@ -78,13 +55,8 @@ class CuttingLayer(Effect):
 
 
 @dataclass(frozen=True)
-class FreshCutting(PlainEffect):
+class FreshCutting(Effect, name=ForceName.FRESH_CUTTING, unit="1", largest=1.0, first=0.5):
     """What has been cut needs less cutting: size is the share that falls away where the tip has been before."""
-
-    NAME: ClassVar = ForceName.FRESH_CUTTING
-    UNIT: ClassVar = "1"
-    LARGEST: ClassVar = 1.0
-    FIRST: ClassVar = 0.5
 
     def load_n(self, scene: Scene, friction_n: Array, cutting_n: Array) -> Array:
         del friction_n
@@ -92,13 +64,8 @@ class FreshCutting(PlainEffect):
 
 
 @dataclass(frozen=True)
-class CuttingDepth(PlainEffect):
+class CuttingDepth(Effect, name=ForceName.CUTTING_DEPTH, unit="N/mm", largest=0.03, first=0.003):
     """The cutting force grows with the depth, a little less than in proportion."""
-
-    NAME: ClassVar = ForceName.CUTTING_DEPTH
-    UNIT: ClassVar = "N/mm"
-    LARGEST: ClassVar = 0.03
-    FIRST: ClassVar = 0.003
 
     def load_n(self, scene: Scene, friction_n: Array, cutting_n: Array) -> Array:
         del friction_n, cutting_n
@@ -107,19 +74,10 @@ class CuttingDepth(PlainEffect):
 
 
 @dataclass(frozen=True)
-class Stribeck(Effect):
+class Stribeck(Effect, name=ForceName.STRIBECK, unit="1", largest=2.0, first=0.2):
     """More friction at low speed: each element by its own slip."""
 
-    NAME: ClassVar = ForceName.STRIBECK
-    UNIT: ClassVar = "1"
-    LARGEST: ClassVar = 2.0
-    FIRST: ClassVar = 0.2
-    speed_mm_s: float
-
-    @classmethod
-    def drawn(cls, rng: np.random.Generator, reach_mm: float) -> Self:
-        del reach_mm
-        return cls(0.0, rng.uniform(1.5, 4.0))
+    speed_mm_s: float = within(1.5, 4.0)
 
     def load_n(self, scene: Scene, friction_n: Array, cutting_n: Array) -> Array:
         del friction_n, cutting_n
@@ -130,14 +88,9 @@ class Stribeck(Effect):
 
 
 @dataclass(frozen=True)
-class Bristle(Effect):
+class Bristle(Effect, name=ForceName.BRISTLE, unit="mm", largest=4.0, first=0.3, linear=False):
     """Bristles are longer than the base's by size on average; each element has its own length."""
 
-    NAME: ClassVar = ForceName.BRISTLE
-    UNIT: ClassVar = "mm"
-    LARGEST: ClassVar = 4.0
-    FIRST: ClassVar = 0.3
-    LINEAR: ClassVar = False
     shares: tuple[float, ...]
 
     @classmethod
@@ -150,20 +103,10 @@ class Bristle(Effect):
 
 
 @dataclass(frozen=True)
-class TissueMotion(Effect):
+class TissueMotion(Effect, name=ForceName.TISSUE_MOTION, unit="mm", largest=6.0, first=0.5, linear=False):
     """The tissue is dragged along by the needle, by size at full friction, and lags behind it."""
 
-    NAME: ClassVar = ForceName.TISSUE_MOTION
-    UNIT: ClassVar = "mm"
-    LARGEST: ClassVar = 6.0
-    FIRST: ClassVar = 0.5
-    LINEAR: ClassVar = False
-    lag_s: float
-
-    @classmethod
-    def drawn(cls, rng: np.random.Generator, reach_mm: float) -> Self:
-        del reach_mm
-        return cls(0.0, rng.uniform(0.2, 0.8))
+    lag_s: float = within(0.2, 0.8)
 
     def compliance(self, usual: Compliance) -> Compliance:
         if self.size == 0.0:
@@ -172,13 +115,8 @@ class TissueMotion(Effect):
 
 
 @dataclass(frozen=True)
-class Viscous(PlainEffect):
+class Viscous(Effect, name=ForceName.VISCOUS, unit="N s/mm2", largest=0.006, first=0.0003):
     """A drag in proportion to slip and covered length."""
-
-    NAME: ClassVar = ForceName.VISCOUS
-    UNIT: ClassVar = "N s/mm2"
-    LARGEST: ClassVar = 0.006
-    FIRST: ClassVar = 0.0003
 
     def load_n(self, scene: Scene, friction_n: Array, cutting_n: Array) -> Array:
         del friction_n, cutting_n
@@ -186,21 +124,12 @@ class Viscous(PlainEffect):
 
 
 @dataclass(frozen=True)
-class Relaxation(Effect):
+class Relaxation(Effect, name=ForceName.RELAXATION, unit="1", largest=0.9, first=0.2):
     """In a hold a share of the force is lost, on two times; it is back after some slip."""
 
-    NAME: ClassVar = ForceName.RELAXATION
-    UNIT: ClassVar = "1"
-    LARGEST: ClassVar = 0.9
-    FIRST: ClassVar = 0.2
-    fast_s: float
-    slow_s: float
+    fast_s: float = within(0.3, 0.6)
+    slow_s: float = within(1.5, 4.0)
     back_mm: float = 0.15
-
-    @classmethod
-    def drawn(cls, rng: np.random.Generator, reach_mm: float) -> Self:
-        del reach_mm
-        return cls(0.0, rng.uniform(0.3, 0.6), rng.uniform(1.5, 4.0))
 
     def load_n(self, scene: Scene, friction_n: Array, cutting_n: Array) -> Array:
         moved = np.abs(np.diff(scene.tip_mm, axis=0, prepend=scene.tip_mm[:1]))
@@ -217,21 +146,11 @@ class Relaxation(Effect):
 
 
 @dataclass(frozen=True)
-class Respiration(Effect):
+class Respiration(Effect, name=ForceName.RESPIRATION, unit="mm", largest=15.0, first=1.0, linear=False):
     """The tissue moves along the path as a breathing patient's: long rests, short breaths. size: peak to peak."""
 
-    NAME: ClassVar = ForceName.RESPIRATION
-    UNIT: ClassVar = "mm"
-    LARGEST: ClassVar = 15.0
-    FIRST: ClassVar = 1.0
-    LINEAR: ClassVar = False
-    period_s: float
-    phase_rad: float
-
-    @classmethod
-    def drawn(cls, rng: np.random.Generator, reach_mm: float) -> Self:
-        del reach_mm
-        return cls(0.0, rng.uniform(3.0, 5.0), rng.uniform(0, np.pi))
+    period_s: float = within(3.0, 5.0)
+    phase_rad: float = within(0, np.pi)
 
     def tissue_mm(self, time_s: Array) -> Array | None:
         if self.size == 0.0:
@@ -240,13 +159,8 @@ class Respiration(Effect):
 
 
 @dataclass(frozen=True)
-class PathDamage(PlainEffect):
+class PathDamage(Effect, name=ForceName.PATH_DAMAGE, unit="1", largest=0.8, first=0.2):
     """Each element loses friction with the slip that it has seen, by a share of size in the end."""
-
-    NAME: ClassVar = ForceName.PATH_DAMAGE
-    UNIT: ClassVar = "1"
-    LARGEST: ClassVar = 0.8
-    FIRST: ClassVar = 0.2
 
     def load_n(self, scene: Scene, friction_n: Array, cutting_n: Array) -> Array:
         del friction_n, cutting_n
@@ -258,13 +172,9 @@ class PathDamage(PlainEffect):
 
 
 @dataclass(frozen=True)
-class Bumps(Effect):
+class Bumps(Effect, name=ForceName.BUMPS, unit="N", largest=1.5, first=0.1):
     """Air bubbles or knots at the same places in every pass, in both directions."""
 
-    NAME: ClassVar = ForceName.BUMPS
-    UNIT: ClassVar = "N"
-    LARGEST: ClassVar = 1.5
-    FIRST: ClassVar = 0.1
     depths_mm: tuple[float, ...]
     shares: tuple[float, ...]
     width_mm: float

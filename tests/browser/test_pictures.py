@@ -20,7 +20,7 @@ from tests.browser.browser import SCHEMES, STALL, drag, opened, wait_for
 from tests.page.diagnosed import written
 from tests.page.served import Served, serving
 
-pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("few_executions")]
+pytestmark = [pytest.mark.study, pytest.mark.usefixtures("few_executions")]
 
 PICTURES = pages.ROOT / "out" / "pictures"
 SIZES: dict[str, ViewportSize] = {"screen": {"width": 1280, "height": 800}, "tablet": {"width": 820, "height": 1180}}
@@ -75,7 +75,6 @@ def test_states_of_a_plan(browser: Browser, server: Served) -> None:
         pictures(page, "compare")
 
 
-@pytest.mark.study
 def test_states_of_an_insertion(browser: Browser, server: Served) -> None:
     with opened(browser, server) as page:
         wait_for(page, "done")

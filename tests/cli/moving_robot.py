@@ -24,6 +24,7 @@ pose_age_s = 5.0
 stage_age_s = 5.0
 loop_age_s = 5.0
 following_mm = 1.0
+motion_s = 5.0
 recording_age_s = 10.0
 out_of_plane_mm = 20.0
 """

@@ -18,6 +18,8 @@ from tests.anatomy.test_vtp import polydata
 from tests.anatomy.volumes import NAMES, TEXT, anatomy, box, write
 from tests.cli.commands import needleplan
 
+pytestmark = pytest.mark.usefixtures("few_executions")
+
 QUIET = TEXT.replace("[lattice]", "tip_noise_deg = 2.0\n[lattice]")
 
 

@@ -6,11 +6,14 @@ import pytest
 from needleplan.cli import main
 from needleplan.diagnosis import Library, diagnose
 from needleplan.models import ModelFile
-from needleplan.models.effects import AugmentedModel, effects_of
+from needleplan.models.effects import AugmentedModel, effect_named, effects_of
 from needleplan.recording import write_records
 from needleplan.reports import diagnosis as reports
 from needleplan.reports.diagnosis import FILES
 from tests.diagnosis.trials import BASE, recordings
+
+# All effects of the catalogue would take several times as long.
+FEW = Library([effect_named(name) for name in ("inertia", "puncture", "viscous")], BASE)
 
 
 @pytest.fixture(scope="module")
@@ -23,7 +26,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.slow
-def test_it_names_and_writes(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_it_names_and_writes(folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(reports.folder, "default_library", lambda _: FEW)
     out = folder / "found"
     assert main(["diagnose", str(folder / "base.toml"), str(folder / "data.csv"), "-o", str(out)]) == 0
     shown = capsys.readouterr().out
@@ -65,7 +69,8 @@ def test_a_model_of_an_earlier_diagnosis_does_not_stay_beside_a_new_one_without_
     out.mkdir()
     for name in FILES:
         (out / name).write_text("old")
-    found = diagnose(BASE, recordings({}, seed=2)[:1])  # without held-out trial and noise record, nothing is named
+    alone = recordings({}, seed=2)[:1]  # without held-out trial and noise record, nothing is named
+    found = diagnose(BASE, alone, library=FEW)
     arguments = ["diagnose", str(folder / "base.toml"), str(folder / "alone.csv"), "-o", str(out)]
     assert main(arguments) == 2
     assert "exists already; --force overwrites it" in capsys.readouterr().err

@@ -21,7 +21,7 @@ from tests.cli.commands import needleplan
 
 BEND_PER_MM = 0.006
 RADIUS_MM = 60.0
-ROBOT = "[robot]\nservo_hz = 400\nbandwidth_hz = 10.0\n"
+ROBOT = "[robot]\nservo_hz = 200\nbandwidth_hz = 10.0\n"
 TWIN = """schema = "needleplan.simulation/1"
 [entry]
 depth_mm = -2.0
@@ -34,7 +34,7 @@ pre_bend_per_mm = {bend}
 tracker_noise_mm = {tracker}
 coil_offset_mm = {coil}
 [[move]]
-dwell_s = 30.0
+dwell_s = 15.0
 """
 
 
@@ -44,7 +44,7 @@ def twin(place: Path, name: str, **values: float) -> Path:
     return file
 
 
-def insert(place: Path, table: Path, lab: Path, name: str, speed_mm_s: float = 10.0) -> Path:
+def insert(place: Path, table: Path, lab: Path, name: str, speed_mm_s: float = 20.0) -> Path:
     run, limits = place / f"{name}.mcap", place / "limits.toml"
     limits.write_text("[safety]\ninsertion_velocity_mm_s = 25.0\n")
     fast = ("--speed", speed_mm_s, "--rotation-speed-deg", 570, "--limits", limits, "--accept-limits", "a fast lab")
@@ -90,7 +90,7 @@ def test_a_bent_needle_is_named_and_planned_for(
     anatomy, table = scene
     lab = twin(tmp_path, "bent", bend=BEND_PER_MM)
     first, second = (insert(tmp_path, table, lab, name) for name in ("a", "bb"))
-    third = insert(tmp_path, table, lab, "ccc", 6.0)
+    third = insert(tmp_path, table, lab, "ccc", 12.0)
     still = tmp_path / "still.mcap"
     assert needleplan("simulate", lab, "-o", still).returncode == 0
     found = tmp_path / "found"

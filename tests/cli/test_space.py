@@ -9,7 +9,7 @@ import pytest
 from needleplan.cli.table_poses import poses_of
 from needleplan.planning import SpaceTable
 from tests.anatomy.volumes import TEXT, box, write
-from tests.cli.commands import needleplan, refused
+from tests.cli.commands import Done, needleplan, refused
 
 pytestmark = pytest.mark.usefixtures("few_executions")
 
@@ -72,12 +72,17 @@ def test_a_direction_has_any_length(table: Path, size: str) -> None:
     assert np.allclose(pose.tangent, start.tangent)
 
 
+@pytest.fixture(scope="module")
+def inserted(table: Path) -> tuple[Done, Path]:
+    """An insertion whose recording and figure stand beside each other."""
+    run = table.parent / "run.mcap"
+    options = ("--speed", 10, "--rotation-speed-deg", 170, "--figure", run.with_suffix(".png"), "--json")
+    return needleplan("insert", table, "--robot", "sim://space?seed=3", *options, "-o", run), run
+
+
 @pytest.mark.slow
-def test_a_seeded_insertion_plans_inserts_and_reports(table: Path, tmp_path: Path) -> None:
-    figure = tmp_path / "run.png"
-    speeds = ("--speed", "10", "--rotation-speed-deg", "170")
-    robot = ("--robot", "sim://space?seed=3")
-    done = needleplan("insert", table, *robot, *speeds, "--figure", figure, "--json")
+def test_a_seeded_insertion_plans_inserts_and_reports(table: Path, inserted: tuple[Done, Path]) -> None:
+    done, run = inserted
     found = json.loads(done.stdout)
     assert found["ending"] in ("target", "missed"), found["cause"]
     assert (done.returncode == 0) == (found["ending"] == "target")
@@ -87,7 +92,7 @@ def test_a_seeded_insertion_plans_inserts_and_reports(table: Path, tmp_path: Pat
     assert found["true_error_in_space_mm"] == pytest.approx(found["error_in_space_mm"], abs=1)
     tip, frame = found["tip"], SpaceTable.read(table).scenario.grid.frame
     assert np.allclose(frame.local(found["tip_ras_mm"]), [tip["x_mm"], tip["y_mm"], tip["z_mm"]])
-    assert figure.stat().st_size > 10_000
+    assert run.with_suffix(".png").stat().st_size > 10_000
 
 
 @pytest.mark.study
@@ -125,14 +130,11 @@ def test_plan_insert_identify_and_plan_again(tmp_path: Path) -> None:
         assert "Traceback" not in refused.stderr
 
 
-@pytest.fixture(scope="module")
-def run(table: Path) -> Path:
-    needleplan("insert", table, "--speed", "10", "-o", table.parent / "run.mcap")
-    return table.parent / "run.mcap"
-
-
 @pytest.mark.slow
-def test_a_needle_that_bends_as_planned_leaves_no_reason_to_plan_again(run: Path, tmp_path: Path) -> None:
+def test_a_needle_that_bends_as_planned_leaves_no_reason_to_plan_again(
+    inserted: tuple[Done, Path], tmp_path: Path
+) -> None:
+    run = inserted[1]
     done = needleplan("plan", write(tmp_path, box()), "--after", run, "--json")
     low, high = json.loads(done.stdout)["curvature"]["interval"]
     assert low <= 1 <= high
@@ -140,9 +142,9 @@ def test_a_needle_that_bends_as_planned_leaves_no_reason_to_plan_again(run: Path
 
 
 @pytest.mark.slow
-def test_a_run_through_another_anatomy_is_refused(run: Path, tmp_path: Path) -> None:
+def test_a_run_through_another_anatomy_is_refused(inserted: tuple[Done, Path], tmp_path: Path) -> None:
     other = write(tmp_path, box(), TEXT.replace("spacing_mm = 4.0", "spacing_mm = 2.0"))
-    done = needleplan("plan", other, "--after", run)
+    done = needleplan("plan", other, "--after", inserted[1])
     assert done.returncode == 2
     assert "frame.json" in done.stderr
 

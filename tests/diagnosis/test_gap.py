@@ -62,6 +62,11 @@ def test_phases() -> None:
     assert {*found.tolist()} == {MotionPhase.ADVANCE, MotionPhase.DWELL, MotionPhase.REVERSAL, MotionPhase.RETRACTION}
     assert found[100] == MotionPhase.ADVANCE
     assert found[-100] == MotionPhase.RETRACTION
+    time_s = np.arange(1000) / 100
+    swing = Motion.sampled(time_s, 20 * np.sin(2 * time_s))
+    found, turns = motion_phases(swing), np.flatnonzero(np.diff(swing.direction[1:])) + 2
+    assert swing.direction[turns].tolist() == [-1, 1, -1, 1, -1, 1]
+    assert all(MotionPhase.REVERSAL in found[turn : turn + 20] for turn in turns)
 
 
 def test_values_along_a_period_are_depths() -> None:

@@ -123,9 +123,9 @@ AT_ONCE = {
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", AT_ONCE)
 def test_points_at_once_beside_one_by_one(kind: str) -> None:
-    """The same filter with both ways: estimates and covariances agree to 1e-9 after 150 samples."""
+    """The same filter with both ways: estimates and covariances agree to 1e-9 after 60 samples."""
     model = AT_ONCE[kind]
-    motion = insertion_cycles(40.0, 20.0, rate_hz=50.0)[:150]
+    motion = insertion_cycles(40.0, 20.0, rate_hz=50.0)[:60]
     noise = np.random.default_rng(1).normal(0.0, 0.01, len(motion))
     measured = simulate(model, motion).output + noise
     filters = []

@@ -121,13 +121,13 @@ def test_errors_at_points_and_target_are_those_of_the_formulas() -> None:
     random, fle, target = np.random.default_rng(3), 0.5, np.array([30.0, -40.0, 80.0])
     first = random.uniform(-50, 50, (8, 3))
     fre, tre = [], []
-    for _ in range(2000):
+    for _ in range(800):
         noisy = first + random.normal(0, fle / np.sqrt(3), first.shape)
         found = register(first, noisy)
         fre.append(found.fre_mm**2)
         tre.append(((found.apply(target) - target) ** 2).sum())
-    assert np.mean(fre) == pytest.approx((1 - 2 / 8) * fle**2, rel=0.04)
-    assert np.mean(tre) == pytest.approx(register(first, first).tre_mm(target, fle) ** 2, rel=0.05)
+    assert np.mean(fre) == pytest.approx((1 - 2 / 8) * fle**2, rel=0.05)
+    assert np.mean(tre) == pytest.approx(register(first, first).tre_mm(target, fle) ** 2, rel=0.1)
 
 
 @pytest.mark.parametrize("points", [np.zeros((5, 3)), np.outer(np.arange(5.0), [1, 2, 3]), np.zeros((2, 3))])

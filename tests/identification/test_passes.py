@@ -16,10 +16,8 @@ from tests.models.lag import Lag
 CORNERS = list(product((-1, 1), repeat=5))
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("number", "corner", "factor"), [(0, 0, 6.0), pytest.param(2, 31, 3.0, marks=pytest.mark.study)]
-)
+@pytest.mark.study
+@pytest.mark.parametrize(("number", "corner", "factor"), [(0, 0, 6.0), (2, 31, 3.0)])
 def test_starts_that_are_far_off_end_at_the_noise(number: int, corner: int, factor: float) -> None:
     chosen = PUBLISHED_FORCES[number]
     record = recorded(chosen.model, chosen.velocity_mm_s, seed=corner)

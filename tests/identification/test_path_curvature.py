@@ -32,6 +32,8 @@ def test_a_chain_of_arcs_is_taken_apart() -> None:
     segments, (change,) = path_curvature(points, [30.0], position_mm=depth)
     assert [each.curvature_per_mm for each in segments] == pytest.approx([1 / 60, 1 / 200], rel=1e-6)
     assert [each.samples for each in segments] == [99, 125]
+    edges_mm = [edge_mm for each in segments for edge_mm in (each.low_mm, each.high_mm)]
+    assert edges_mm == pytest.approx([0.0, 30.0, 30.0, 80.0], abs=0.01)
     assert change.value_per_mm == pytest.approx(1 / 200 - 1 / 60, rel=1e-6)
     assert change.p_value < 1e-6
 
@@ -53,8 +55,8 @@ def coverage(
     [
         (white, {"noise": TrackerNoise.WHITE}),
         (white, {}),
-        (lambda random: correlated(random, 5.0), {}),
-        (lambda random: correlated(random, 20.0), {"correlation_mm": 20.0}),
+        pytest.param(lambda random: correlated(random, 5.0), {}, marks=pytest.mark.study),
+        pytest.param(lambda random: correlated(random, 20.0), {"correlation_mm": 20.0}, marks=pytest.mark.study),
     ],
 )
 def test_the_interval_holds_the_truth(

@@ -34,7 +34,7 @@ def recorded(model: LumpedOnTissue, amplitude_mm: float = 40.0, role: Role = Rol
 @pytest.fixture(scope="module")
 def identified() -> Identification:
     records = [recorded(TRUTH), recorded(TRUTH, 12.0, seed=1), recorded(TRUTH, 25.0, Role.HOLDOUT, seed=2)]
-    return identify(records, marker="x_mm")
+    return identify(records, marker="x_mm", starts=1)
 
 
 def true_lag_deg(model: LumpedOnTissue) -> float:

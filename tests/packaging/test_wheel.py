@@ -11,7 +11,7 @@ import pytest
 
 from tests import pages
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.study
 
 # Time in s for compiling the solver on a busy machine.
 TIMEOUT_S = 1500

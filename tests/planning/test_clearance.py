@@ -28,7 +28,7 @@ def priced(draw: st.DrawFn, transition: str | None = None) -> dict[str, Any]:
 
 
 @given(scenario=priced(), method=METHODS, partitions=uniform.PARTITIONS)
-@settings(uniform.random_cases, max_examples=12)
+@settings(uniform.random_cases, max_examples=8)
 @pytest.mark.study
 def test_tables_are_those_of_the_oracle(scenario: dict[str, Any], method: str, partitions: list[int]) -> None:
     mdp, solution = uniform.oracle_of(scenario)
@@ -37,7 +37,7 @@ def test_tables_are_those_of_the_oracle(scenario: dict[str, Any], method: str, p
 
 @pytest.mark.slow
 @given(scenario=priced(transition="interpolated"), seed=st.integers(0, 2**31))
-@settings(uniform.random_cases, max_examples=6)
+@settings(uniform.random_cases, max_examples=4)
 def test_executions_cost_what_the_oracles_cost(scenario: dict[str, Any], seed: int) -> None:
     mdp, solution = uniform.oracle_of(scenario)
     table, runs = uniform.planned(scenario), 2_000

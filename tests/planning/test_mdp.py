@@ -76,6 +76,7 @@ def test_rows_as_they_are() -> None:
     solution = mdp.solve(problem, tolerance=1e-9)
     assert solution.values == pytest.approx([3.0, 2.0, 0.0])
     assert solution.policy[0] == 1
+    assert (problem.states, problem.actions) == (3, 2)
 
 
 def test_partitions_of_ones_own() -> None:

@@ -17,6 +17,7 @@ from needleplan.errors import InputError, PoseError
 from needleplan.planning import PolicyTable, Promise, SpaceTable, Success, Uncertainty, plan, plan_space
 from needleplan.planning._plane_truth import plane_truths
 from needleplan.planning._promise import ErrorDraws, Truths
+from needleplan.planning._space_truth import scattered_space_poses
 from needleplan.scenario import Grid, Layer, Needle, Obstacle, Scenario, Target, TipMotion, Workspace
 from needleplan.signals import RigidError
 from tests.anatomy.volumes import TEXT, anatomy, box
@@ -286,3 +287,14 @@ def test_the_name_is_public() -> None:
     promise = npl.plan("four_obstacles").success_under(Uncertainty(tre_mm=1.0), (0.0, 23.0, 0.5), executions=50)
     assert isinstance(promise, Promise)
     assert promise.exact.runs == 50
+
+
+def test_an_entry_is_shifted_and_tilted_across_the_needle() -> None:
+    table = plan_space(SpaceScenario.of(anatomy(box())), threads=1)
+    start, errors = np.array(table.best_entry().pose), np.array([[2.0, 0.0], [0.0, 2.0], [1.0, -1.0]])
+    shifted = scattered_space_poses(table.scenario, start, errors, np.zeros((3, 2)))[:, :3] - start[:3]
+    across = shifted - np.outer(shifted @ start[3:], start[3:])
+    np.testing.assert_allclose(across @ across.T, errors @ errors.T, atol=1e-9)
+    tangents = scattered_space_poses(table.scenario, start, np.zeros((3, 2)), errors / 100)[:, 3:]
+    sideways = tangents - np.outer(tangents @ start[3:], start[3:])
+    np.testing.assert_allclose(sideways @ sideways.T, errors @ errors.T / 1e4, atol=1e-6)

@@ -18,7 +18,7 @@ from tests.planning.test_clearance import priced
 from tests.planning.test_predictions import assert_look_ahead
 from tests.planning.test_tissues import METHODS, layered
 
-few = settings(uniform.random_cases, max_examples=12)
+few = settings(uniform.random_cases, max_examples=6)
 
 
 @st.composite

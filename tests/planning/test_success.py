@@ -23,7 +23,7 @@ def with_grid(scenario: dict[str, Any], **grid: Any) -> dict[str, Any]:
 
 @pytest.mark.study
 @given(scenario=plain.scenarios("interpolated"), times=st.sampled_from([2, 3]))
-@settings(plain.random_cases, max_examples=10)
+@settings(plain.random_cases, max_examples=6)
 def test_it_is_what_executions_of_the_table_do_on_the_finer_grid(scenario: dict[str, Any], times: int) -> None:
     dx, dy = scenario["grid"]["spacing_mm"]
     mdp = build(plain.problem_of(with_grid(scenario, spacing_mm=[dx / times, dy / times])))

@@ -58,14 +58,14 @@ def layered(draw: st.DrawFn, transition: str | None = None) -> dict[str, Any]:
 
 @pytest.mark.slow
 @given(scenario=layered(), method=METHODS, partitions=uniform.PARTITIONS)
-@settings(uniform.random_cases, max_examples=12)
+@settings(uniform.random_cases, max_examples=8)
 def test_tables_are_those_of_the_oracle(scenario: dict[str, Any], method: str, partitions: list[int]) -> None:
     mdp, solution = uniform.oracle_of(scenario)
     uniform.assert_agrees(uniform.planned(scenario, method=method, partitions=partitions), mdp, solution)
 
 
 @given(scenario=layered(), method=METHODS, threads=st.sampled_from([2, 3]))
-@settings(uniform.random_cases, max_examples=10)
+@settings(uniform.random_cases, max_examples=6)
 def test_the_number_of_threads_changes_nothing(scenario: dict[str, Any], method: str, threads: int) -> None:
     one, other = (uniform.planned(scenario, method=method, threads=each) for each in (1, threads))
     uniform.assert_identical(one, other)
@@ -73,7 +73,7 @@ def test_the_number_of_threads_changes_nothing(scenario: dict[str, Any], method:
 
 @pytest.mark.slow
 @given(scenario=layered(), method=METHODS)
-@settings(uniform.random_cases, max_examples=10)
+@settings(uniform.random_cases, max_examples=6)
 def test_a_mirrored_scenario_has_the_mirrored_table(scenario: dict[str, Any], method: str) -> None:
     assume(uniform.clearance(build(uniform.problem_of(scenario))) > uniform.MARGIN_MM)
     one, other = uniform.planned(scenario, method=method), uniform.planned(mirrored(scenario), method=method)
@@ -122,7 +122,7 @@ def test_a_grid_line_on_the_edge_of_a_layer_is_in_it_whatever_rounding_says(tran
 
 
 @given(scenario=layered())
-@settings(uniform.random_cases, max_examples=10)
+@settings(uniform.random_cases, max_examples=6)
 def test_the_scenario_knows_the_radius_of_every_place(scenario: dict[str, Any]) -> None:
     read = npl.Scenario.from_toml(uniform.toml_text(scenario))
     x, y = np.meshgrid(np.linspace(0, read.workspace.width_mm, 33), np.linspace(0, read.workspace.height_mm, 33))
@@ -130,7 +130,7 @@ def test_the_scenario_knows_the_radius_of_every_place(scenario: dict[str, Any]) 
 
 
 @given(scenario=uniform.scenarios(), method=METHODS)
-@settings(uniform.random_cases, max_examples=10)
+@settings(uniform.random_cases, max_examples=6)
 def test_layers_of_the_same_radius_change_nothing(scenario: dict[str, Any], method: str) -> None:
     layers = copy.deepcopy(scenario)
     rho = scenario["needle"]["curvature_radius_mm"]

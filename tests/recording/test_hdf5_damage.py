@@ -109,7 +109,7 @@ def test_a_file_that_is_only_tried_is_refused_if_the_library_crashes_or_loops(
 @pytest.mark.slow
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="forks")
 def test_any_altered_byte(monkeypatch: pytest.MonkeyPatch) -> None:
-    files = 24  # about a third make the library loop until its limit of one second
+    files = 12  # about a third make the library loop until its limit of one second
     done = subprocess.run(
         [sys.executable, "-c", FUZZ, str(SMALL), str(files), str(files)],
         capture_output=True, text=True, check=True, timeout=600,

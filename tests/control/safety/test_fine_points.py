@@ -69,9 +69,7 @@ def test_depths_are_at_most_500_mm_to_either_side(name: str, sides: tuple[float,
             SafetyLimits(**{name: beyond})
 
 
-def test_a_listener_that_failed_once_is_reported_once() -> None:
-    bench = Bench()
-    guard = bench.enabled()
+def test_a_listener_that_failed_once_is_reported_once(bench: Bench, guard: GuardedStage) -> None:
     guard._wire.events.failed = True
     bench.turn()
     assert guard.state.latched == {Cause.RECORDING_LOST}
@@ -79,9 +77,7 @@ def test_a_listener_that_failed_once_is_reported_once() -> None:
     assert [each.causes for each in bench.named(SafetyEventName.RAISED)][-1:] == [{Cause.RECORDING_LOST}]
 
 
-def test_events_name_what_appeared_and_what_went_and_nothing_else() -> None:
-    bench = Bench()
-    guard = bench.enabled()
+def test_events_name_what_appeared_and_what_went_and_nothing_else(bench: Bench, guard: GuardedStage) -> None:
     bench.events.clear()
     for causes in ({Cause.PLAN_LOST}, {Cause.PLAN_LOST, Cause.IN_OBSTACLE}, {Cause.IN_OBSTACLE}, set()):
         guard.report(causes)
@@ -101,9 +97,9 @@ def test_the_time_of_a_run_begins_when_it_is_enabled_and_not_when_it_is_homed() 
     assert bench.guard.state.first == {Cause.TIME_EXCEEDED}
 
 
-def test_a_read_without_a_sample_is_no_fault(monkeypatch: pytest.MonkeyPatch) -> None:
-    bench = Bench()
-    guard = bench.enabled()
+def test_a_read_without_a_sample_is_no_fault(
+    bench: Bench, guard: GuardedStage, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(bench.stage, "read", lambda _: None)
     assert guard.read(0.0) is None
     assert guard.state.operating is OperatingState.ENABLED
@@ -114,11 +110,9 @@ def test_a_read_without_a_sample_is_no_fault(monkeypatch: pytest.MonkeyPatch) ->
     [("rotate", "roll_rad", "depth_mm", 0.6), ("insert", "depth_mm", "roll_rad", 0.25)],
 )
 def test_what_has_no_command_and_drifts_during_a_motion_is_a_fault(
-    order: str, commanded: str, other: str, jump: float
+    bench: Bench, guard: GuardedStage, order: str, commanded: str, other: str, jump: float
 ) -> None:
     """The stage says that it moves, which is true of one axis; the other has no command."""
-    bench = Bench()
-    guard = bench.enabled()
     getattr(guard, order)(20.0, 5.0)
     bench.stage.moving = True
 
@@ -196,8 +190,7 @@ def test_a_lost_message_is_reported_for_half_a_second(age_ns: int, is_reported: 
     assert found == ({Cause.RECORDING_LOST} if is_reported else set())
 
 
-def test_a_stop_after_a_command_that_it_has_overtaken_is_repeated_too() -> None:
-    bench = Bench()
+def test_a_stop_after_a_command_that_it_has_overtaken_is_repeated_too(bench: Bench) -> None:
     wire = GuardWire(bench.stage, bench.clock, None, threading.RLock(), lambda *_: None)
     wire.plan_repetition()
     wire.flush(wire.taken())
@@ -221,8 +214,7 @@ def test_the_watchdog_goes_on_after_a_blocked_guard() -> None:
         assert watchdog.alive
 
 
-def test_the_longest_time_of_a_retraction_is_twice_its_way_and_two_seconds() -> None:
-    bench = Bench()
+def test_the_longest_time_of_a_retraction_is_twice_its_way_and_two_seconds(bench: Bench) -> None:
     bench.stage.depth_mm = 40.0
     guard = bench.enabled()
     assert guard.retraction_s == 0.0
@@ -230,8 +222,7 @@ def test_the_longest_time_of_a_retraction_is_twice_its_way_and_two_seconds() -> 
     assert guard.retraction_s == 22.0
 
 
-def test_stage_and_limits_may_be_named() -> None:
-    bench = Bench()
+def test_stage_and_limits_may_be_named(bench: Bench) -> None:
     stage = bench.stage
     bench.guard.close()
     with GuardedStage(stage=stage, limits=LIMITS) as guard:
@@ -307,8 +298,7 @@ def test_the_time_of_sending_is_recorded_where_there_is_one() -> None:
     assert replace(event, sent_ns=12345678901234567).entry()["sent_ns"] == "12345678901234567"
 
 
-def test_retractions_are_counted_one_by_one() -> None:
-    bench = Bench()
+def test_retractions_are_counted_one_by_one(bench: Bench) -> None:
     bench.stage.depth_mm = 40.0
     guard = bench.enabled()
     for count in (1, 2):
@@ -316,16 +306,15 @@ def test_retractions_are_counted_one_by_one() -> None:
         assert guard.retractions == count
 
 
-def test_a_listener_that_has_not_failed_is_not_reported() -> None:
-    bench = Bench()
+def test_a_listener_that_has_not_failed_is_not_reported(bench: Bench) -> None:
     bench.turn()
     raised = {cause for event in bench.named(SafetyEventName.RAISED) for cause in event.causes}
     assert Cause.RECORDING_LOST not in raised | bench.causes
 
 
-def test_a_stop_that_the_stage_refuses_is_a_failure_of_the_stage(monkeypatch: pytest.MonkeyPatch) -> None:
-    bench = Bench()
-    guard = bench.enabled()
+def test_a_stop_that_the_stage_refuses_is_a_failure_of_the_stage(
+    bench: Bench, guard: GuardedStage, monkeypatch: pytest.MonkeyPatch
+) -> None:
     with monkeypatch.context() as patched:
         patched.setattr(bench.stage, "stop", refuse)
         guard.stop()

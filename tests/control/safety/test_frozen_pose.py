@@ -2,7 +2,7 @@
 
 import pytest
 
-from needleplan.control.safety import Cause, OperatingState
+from needleplan.control.safety import Cause, GuardedStage, OperatingState
 from needleplan.devices import Health
 from tests.control.safety.bench import Bench
 
@@ -35,10 +35,8 @@ def test_a_pose_that_repeats_while_the_stage_moves_is_frozen() -> None:
         assert Cause.POSE_FROZEN not in bench.guard.state.present
 
 
-def test_a_pose_may_repeat_while_the_stage_stands_or_only_turns() -> None:
+def test_a_pose_may_repeat_while_the_stage_stands_or_only_turns(bench: Bench, guard: GuardedStage) -> None:
     """A simulated tracker without noise says the same at rest, and a coil with five degrees of freedom has no roll."""
-    bench = Bench()
-    guard = bench.enabled()
     bench.pose = {"position_mm": (1.0, 2.0, 3.0)}
     bench.turns(2.0)
     guard.rotate(3.0, 3.0)
@@ -55,8 +53,7 @@ def test_a_pose_may_repeat_while_the_stage_stands_or_only_turns() -> None:
     assert Cause.POSE_FROZEN not in bench.causes
 
 
-def test_a_frozen_pose_is_noticed_through_poses_without_a_coil() -> None:
-    bench = Bench()
+def test_a_frozen_pose_is_noticed_through_poses_without_a_coil(bench: Bench) -> None:
     bench.enabled().insert(50.0, 5.0)
     bench.stage.moving = True
     for turn in range(80):

@@ -23,8 +23,7 @@ def refused(call: Any, *arguments: Any) -> set[str]:
     return set(refusal.value.causes)
 
 
-def test_nothing_moves_before_it_is_enabled() -> None:
-    bench = Bench()
+def test_nothing_moves_before_it_is_enabled(bench: Bench) -> None:
     bench.turn()
     assert refused(bench.guard.insert, 10.0, 5.0) == {Cause.NOT_ENABLED}
     assert refused(bench.guard.rotate, 1.0, 5.0) == {Cause.NOT_ENABLED}
@@ -32,16 +31,13 @@ def test_nothing_moves_before_it_is_enabled() -> None:
     assert len(bench.named(SafetyEventName.REFUSAL)) == 2
 
 
-def test_it_is_not_enabled_without_inputs() -> None:
-    bench = Bench()
+def test_it_is_not_enabled_without_inputs(bench: Bench) -> None:
     bench.guard.order(Order.HOME)
     wanting = {Cause.FORCE_STALE, Cause.POSE_STALE, Cause.STAGE_STALE, Cause.LOOP_LATE}
     assert refused(bench.guard.order, Order.ENABLE) == wanting
 
 
-def test_a_command_goes_to_the_stage_as_it_is_and_into_the_record() -> None:
-    bench = Bench()
-    guard = bench.enabled()
+def test_a_command_goes_to_the_stage_as_it_is_and_into_the_record(bench: Bench, guard: GuardedStage) -> None:
     guard.insert(10.0, 5.0)
     guard.rotate(-3.0, 6.0)
     assert bench.stage.wire == [("insert", 10.0, 5.0), ("rotate", -3.0, 6.0)]
@@ -67,10 +63,8 @@ def test_a_command_goes_to_the_stage_as_it_is_and_into_the_record() -> None:
     ],
 )
 def test_a_value_beyond_a_limit_is_refused_with_its_cause_and_nothing_else_happens(
-    call: str, values: tuple[float, float], cause: Cause
+    bench: Bench, guard: GuardedStage, call: str, values: tuple[float, float], cause: Cause
 ) -> None:
-    bench = Bench()
-    guard = bench.enabled()
     assert refused(getattr(guard, call), *values) == {cause}
     assert bench.stage.wire == []
     assert guard.state.operating is E
@@ -148,9 +142,9 @@ def test_an_input_that_fails_stops_the_stage(name: str) -> None:
 
 
 @pytest.mark.parametrize(("key", "health"), [("force", Health.SUSPECT), ("pose", Health.MISSING)])
-def test_one_bad_sample_is_not_used_and_stops_nothing(key: str, health: Health) -> None:
-    bench = Bench()
-    guard = bench.enabled()
+def test_one_bad_sample_is_not_used_and_stops_nothing(
+    bench: Bench, guard: GuardedStage, key: str, health: Health
+) -> None:
     for _ in range(20):
         setattr(bench, key, {"health": health})
         bench.turn()
@@ -159,9 +153,7 @@ def test_one_bad_sample_is_not_used_and_stops_nothing(key: str, health: Health) 
     assert guard.state.operating is E
 
 
-def test_a_repeated_sample_with_a_new_date_is_not_fresh() -> None:
-    bench = Bench()
-    guard = bench.enabled()
+def test_a_repeated_sample_with_a_new_date_is_not_fresh(bench: Bench, guard: GuardedStage) -> None:
     number = bench.number
     for _ in range(9):
         bench.number = number - 1
@@ -170,9 +162,7 @@ def test_a_repeated_sample_with_a_new_date_is_not_fresh() -> None:
     assert Cause.FORCE_STALE in bench.causes
 
 
-def test_a_sample_from_the_future_is_a_fault() -> None:
-    bench = Bench()
-    guard = bench.enabled()
+def test_a_sample_from_the_future_is_a_fault(bench: Bench, guard: GuardedStage) -> None:
     bench.clock.advance(10.0)
     bench.turn()
     bench.clock._now_ns -= 10**9
@@ -209,9 +199,9 @@ def test_a_sensor_that_only_improves_the_tip_passes_the_guard_unwatched(source: 
 
 
 @pytest.mark.parametrize("source", WATCHED)
-def test_a_device_that_gives_up_is_a_fault_until_its_next_sample(source: Source) -> None:
-    bench = Bench()
-    guard = bench.enabled()
+def test_a_device_that_gives_up_is_a_fault_until_its_next_sample(
+    bench: Bench, guard: GuardedStage, source: Source
+) -> None:
     guard.insert(20.0, 5.0)
     cause = Cause(f"{source}_fault")
     assert guard.device_failed(source, DeviceFault("its cable is out")).operating is F
@@ -222,9 +212,7 @@ def test_a_device_that_gives_up_is_a_fault_until_its_next_sample(source: Source)
     assert guard.state.operating is D
 
 
-def test_a_stage_that_takes_no_command_is_a_fault() -> None:
-    bench = Bench()
-    guard = bench.enabled()
+def test_a_stage_that_takes_no_command_is_a_fault(bench: Bench, guard: GuardedStage) -> None:
     bench.stage.broken = True
     with pytest.raises(DeviceFault, match="not there"):
         guard.insert(10.0, 5.0)
@@ -237,9 +225,7 @@ def test_a_stage_that_takes_no_command_is_a_fault() -> None:
     assert bench.stage.wire == [("stop",)], "the stop is sent again, and the stage stands still"
 
 
-def test_a_stop_is_repeated_until_the_stage_stands_still() -> None:
-    bench = Bench()
-    guard = bench.enabled()
+def test_a_stop_is_repeated_until_the_stage_stands_still(bench: Bench, guard: GuardedStage) -> None:
     guard.insert(50.0, 5.0)
     bench.turn()
     guard.order(Order.PAUSE)
@@ -254,9 +240,7 @@ def test_a_stop_is_repeated_until_the_stage_stands_still() -> None:
     assert guard.rest is Rest.RESTS
 
 
-def test_stop_latches() -> None:
-    bench = Bench()
-    guard = bench.enabled()
+def test_stop_latches(bench: Bench, guard: GuardedStage) -> None:
     guard.insert(50.0, 5.0)
     guard.stop()
     assert bench.stage.wire[-1] == ("stop",)
@@ -264,8 +248,7 @@ def test_stop_latches() -> None:
     assert refused(guard.order, Order.ENABLE) == {Cause.NOT_RESET, Cause.STOP_ORDERED}
 
 
-def test_the_guard_sends_the_heartbeat_while_the_loop_ticks() -> None:
-    bench = Bench()
+def test_the_guard_sends_the_heartbeat_while_the_loop_ticks(bench: Bench) -> None:
     heard = []
     bench.guard.close()
     bench.stage.broken = False
@@ -290,9 +273,7 @@ def test_the_guard_sends_the_heartbeat_while_the_loop_ticks() -> None:
     assert Cause.STAGE_FAULT in guard.state.latched
 
 
-def test_two_threads_do_not_command() -> None:
-    bench = Bench()
-    guard = bench.enabled()
+def test_two_threads_do_not_command(guard: GuardedStage) -> None:
     guard.insert(10.0, 5.0)
     found: list[set[str]] = []
     thread = threading.Thread(target=lambda: found.append(refused(guard.insert, 20.0, 5.0)))
@@ -302,16 +283,14 @@ def test_two_threads_do_not_command() -> None:
     assert guard.state.operating is E
 
 
-def test_a_stage_has_one_guard() -> None:
-    bench = Bench()
+def test_a_stage_has_one_guard(bench: Bench) -> None:
     for stage in (bench.stage, bench.guard):
         assert refused(GuardedStage, stage) == {Cause.SECOND_COMMANDER}
     bench.guard.close()
     GuardedStage(bench.stage).close()
 
 
-def test_limits_are_exchanged_only_while_nothing_is_enabled() -> None:
-    bench = Bench()
+def test_limits_are_exchanged_only_while_nothing_is_enabled(bench: Bench) -> None:
     other = SafetyLimits(deepest_mm=20.0)
     guard = bench.enabled()
     assert refused(guard.exchange_limits, other) == {Cause.LIMITS_IN_USE}
@@ -322,9 +301,7 @@ def test_limits_are_exchanged_only_while_nothing_is_enabled() -> None:
     assert refused(guard.insert, 21.0, 5.0) == {Cause.DEPTH_BEYOND}
 
 
-def test_a_listener_that_fails_does_not_keep_the_stop_back() -> None:
-    bench = Bench()
-    guard = bench.enabled()
+def test_a_listener_that_fails_does_not_keep_the_stop_back(bench: Bench, guard: GuardedStage) -> None:
     guard.insert(50.0, 5.0)
 
     def fail(_: object) -> None:
@@ -337,9 +314,7 @@ def test_a_listener_that_fails_does_not_keep_the_stop_back() -> None:
     assert Cause.RECORDING_LOST in guard.state.latched
 
 
-def test_closing_stops_and_closes_the_stage() -> None:
-    bench = Bench()
-    guard = bench.enabled()
+def test_closing_stops_and_closes_the_stage(bench: Bench, guard: GuardedStage) -> None:
     with guard:
         guard.insert(50.0, 5.0)
     assert bench.stage.wire[-1] == ("stop",)
@@ -358,9 +333,7 @@ class OneSample:
         return self.sample
 
 
-def test_a_sample_is_validated_as_it_is_read_before_the_loop_takes_it() -> None:
-    bench = Bench()
-    guard = bench.enabled()
+def test_a_sample_is_validated_as_it_is_read_before_the_loop_takes_it(bench: Bench, guard: GuardedStage) -> None:
     guard.insert(50.0, 5.0)
     force = ForceSample(Stamp(bench.clock.now_ns(), 10_000), (0.0, 0.0, 60.0), (0.0, 0.0, 0.0))
     assert guard.read_device(Source.FORCE, OneSample(force), 0.0) is force  # type: ignore[arg-type]
@@ -368,9 +341,7 @@ def test_a_sample_is_validated_as_it_is_read_before_the_loop_takes_it() -> None:
     assert Cause.FORCE_EXCEEDED in guard.state.latched
 
 
-def test_a_pose_that_is_read_keeps_the_tip_until_the_loop_has_another() -> None:
-    bench = Bench()
-    guard = bench.enabled()
+def test_a_pose_that_is_read_keeps_the_tip_until_the_loop_has_another(bench: Bench, guard: GuardedStage) -> None:
     pose = PoseSample(Stamp(bench.clock.now_ns(), 10_000), (1.0, 2.0, 3.0), (1.0, 0.0, 0.0, 0.0), 0.1)
     guard.read_device(Source.POSE, OneSample(pose), 0.0)  # type: ignore[arg-type]
     assert guard.state.operating is E
@@ -380,9 +351,7 @@ def test_a_pose_that_is_read_keeps_the_tip_until_the_loop_has_another() -> None:
 
 
 @pytest.mark.parametrize("error", [DeviceFault("cable"), OSError("cable")], ids=["fault", "other error"])
-def test_a_device_that_fails_as_it_is_read_is_a_fault(error: Exception) -> None:
-    bench = Bench()
-    guard = bench.enabled()
+def test_a_device_that_fails_as_it_is_read_is_a_fault(guard: GuardedStage, error: Exception) -> None:
     with pytest.raises(type(error), match="cable"):
         guard.read_device(Source.FORCE, OneSample(error), 0.0)  # type: ignore[arg-type]
     assert Cause.FORCE_FAULT in guard.state.latched

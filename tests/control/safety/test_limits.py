@@ -89,8 +89,7 @@ def test_limits_that_are_exchanged_need_a_reason_too_and_nothing_changes_without
     assert guard.limits.force_n == 6.0
 
 
-def test_a_refused_guard_leaves_the_stage_free_for_another() -> None:
-    bench = Bench()
+def test_a_refused_guard_leaves_the_stage_free_for_another(bench: Bench) -> None:
     bench.guard.close()
     with pytest.raises(SafetyError):
         GuardedStage(bench.stage, SafetyLimits(force_n=6.0))

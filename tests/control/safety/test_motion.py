@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import pytest
 
-from needleplan.control.safety import Cause, OperatingState, Order, Owner, SafetyLimits
+from needleplan.control.safety import Cause, GuardedStage, OperatingState, Order, Owner, SafetyLimits
 from needleplan.control.safety._motion import MotionWatch
 from needleplan.devices import StageSample, Stamp
 from needleplan.errors import MotionRefused
@@ -34,9 +34,7 @@ def ended(bench: Bench, cause: Cause) -> None:
     assert cause in bench.guard.state.latched
 
 
-def test_an_honest_stage_may_go_in_and_out_and_turn() -> None:
-    bench = Bench()
-    guard = bench.enabled()
+def test_an_honest_stage_may_go_in_and_out_and_turn(bench: Bench, guard: GuardedStage) -> None:
     guard.insert(20.0, 5.0)
     moving(bench, 5.0, 4.0)
     guard.insert(10.0, 20.0)
@@ -51,16 +49,14 @@ def test_an_honest_stage_may_go_in_and_out_and_turn() -> None:
     assert guard.state.operating is OperatingState.ENABLED
 
 
-def test_the_wrong_way() -> None:
-    bench = Bench()
+def test_the_wrong_way(bench: Bench) -> None:
     bench.enabled().insert(20.0, 5.0)
     moving(bench, -5.0, 1.0, lambda: stopped(bench))
     ended(bench, Cause.WRONG_WAY)
     assert bench.stage.depth_mm > -1.5
 
 
-def test_beyond_its_goal() -> None:
-    bench = Bench()
+def test_beyond_its_goal(bench: Bench) -> None:
     bench.enabled().insert(2.0, 5.0)
     moving(bench, 5.0, 1.0, lambda: stopped(bench))
     ended(bench, Cause.WRONG_WAY)
@@ -68,9 +64,7 @@ def test_beyond_its_goal() -> None:
 
 
 @pytest.mark.parametrize("axis", ["depth", "roll"])
-def test_no_motion(axis: str) -> None:
-    bench = Bench()
-    guard = bench.enabled()
+def test_no_motion(bench: Bench, guard: GuardedStage, axis: str) -> None:
     if axis == "depth":
         guard.insert(20.0, 5.0)
     else:
@@ -83,10 +77,10 @@ def test_no_motion(axis: str) -> None:
 
 @pytest.mark.parametrize("axis", ["depth", "roll"])
 @pytest.mark.parametrize(("velocity", "soon_s"), [(5.0, 0.11), (0.5, 0.21)])
-def test_an_axis_that_stands_still_on_its_way(axis: str, velocity: float, soon_s: float) -> None:
+def test_an_axis_that_stands_still_on_its_way(
+    bench: Bench, guard: GuardedStage, axis: str, velocity: float, soon_s: float
+) -> None:
     """With `velocity` of 0.5, an axis needs 0.2 s for 0.1 mm, and the roll 0.1 s for 0.05 rad."""
-    bench = Bench()
-    guard = bench.enabled()
     (guard.insert if axis == "depth" else guard.rotate)(20.0, velocity)
     bench.stage.moving = True
     name = f"{axis}_{'mm' if axis == 'depth' else 'rad'}"
@@ -117,9 +111,8 @@ def test_an_axis_may_be_slow_and_may_stand_at_its_goal() -> None:
 
 
 @pytest.mark.parametrize("speed", [-5.0, -1.0])
-def test_an_axis_that_goes_back_on_its_way(speed: float) -> None:
+def test_an_axis_that_goes_back_on_its_way(bench: Bench, speed: float) -> None:
     """An encoder that counts backwards is noticed after the tolerance, not only behind the start of the motion."""
-    bench = Bench()
     bench.enabled().insert(20.0, 5.0)
     moving(bench, 5.0, 2.0)
     moving(bench, speed, 2.0, lambda: stopped(bench))
@@ -128,9 +121,9 @@ def test_an_axis_that_goes_back_on_its_way(speed: float) -> None:
     assert bench.causes & {Cause.NO_MOTION} == set()
 
 
-def test_an_axis_that_goes_back_from_the_start_is_noticed_after_the_tolerance() -> None:
-    bench = Bench()
-    guard = bench.enabled()
+def test_an_axis_that_goes_back_from_the_start_is_noticed_after_the_tolerance(
+    bench: Bench, guard: GuardedStage
+) -> None:
     guard.insert(20.0, 5.0)
     moving(bench, 5.0, 1.0)
     guard.insert(20.0, 5.0)  # it already moves towards the goal, and has nothing to turn round
@@ -138,9 +131,7 @@ def test_an_axis_that_goes_back_from_the_start_is_noticed_after_the_tolerance() 
     ended(bench, Cause.WRONG_WAY)
 
 
-def test_an_axis_that_has_not_yet_shown_the_last_command_may_turn_round() -> None:
-    bench = Bench()
-    guard = bench.enabled()
+def test_an_axis_that_has_not_yet_shown_the_last_command_may_turn_round(bench: Bench, guard: GuardedStage) -> None:
     guard.insert(20.0, 10.0)
     guard.insert(-20.0, 10.0)
     moving(bench, 10.0, 0.1)
@@ -155,9 +146,7 @@ def test_an_axis_that_has_not_yet_shown_the_last_command_may_turn_round() -> Non
     assert bench.stage.depth_mm > -7.6
 
 
-def test_an_axis_may_turn_round_before_it_follows_a_command() -> None:
-    bench = Bench()
-    guard = bench.enabled()
+def test_an_axis_may_turn_round_before_it_follows_a_command(bench: Bench, guard: GuardedStage) -> None:
     guard.insert(20.0, 5.0)
     moving(bench, 5.0, 2.0)
     guard.insert(5.0, 5.0)
@@ -180,9 +169,7 @@ def test_a_machine_that_pauses_sees_no_axis_stand_still() -> None:
     ended(bench, Cause.NO_MOTION)
 
 
-def test_no_motion_is_seen_though_the_command_is_repeated() -> None:
-    bench = Bench()
-    guard = bench.enabled()
+def test_no_motion_is_seen_though_the_command_is_repeated(bench: Bench, guard: GuardedStage) -> None:
     for goal in range(24):
         if stopped(bench):
             break
@@ -191,8 +178,7 @@ def test_no_motion_is_seen_though_the_command_is_repeated() -> None:
     ended(bench, Cause.NO_MOTION)
 
 
-def test_too_fast() -> None:
-    bench = Bench()
+def test_too_fast(bench: Bench) -> None:
     bench.enabled().insert(50.0, 5.0)
     moving(bench, 14.0, 0.1)
     assert not stopped(bench)
@@ -213,9 +199,7 @@ def test_too_deep() -> None:
 
 
 @pytest.mark.parametrize("how", ["jump", "restart"])
-def test_a_lost_zero_needs_homing(how: str) -> None:
-    bench = Bench()
-    guard = bench.enabled()
+def test_a_lost_zero_needs_homing(bench: Bench, guard: GuardedStage, how: str) -> None:
     guard.insert(50.0, 5.0)
     bench.turn()
     if how == "jump":
@@ -232,8 +216,7 @@ def test_a_lost_zero_needs_homing(how: str) -> None:
 
 
 @pytest.mark.parametrize("order", [None, Order.PAUSE, Order.DISABLE])
-def test_moving_without_being_told(order: Order | None) -> None:
-    bench = Bench()
+def test_moving_without_being_told(bench: Bench, order: Order | None) -> None:
     if order is not None:
         guard = bench.enabled()
         guard.insert(50.0, 5.0)
@@ -246,8 +229,7 @@ def test_moving_without_being_told(order: Order | None) -> None:
     ended(bench, Cause.STILL_MOVING)
 
 
-def test_drifting_at_rest() -> None:
-    bench = Bench()
+def test_drifting_at_rest(bench: Bench) -> None:
     bench.enabled()
     bench.turns(0.1)
     for _ in range(200):
@@ -257,9 +239,7 @@ def test_drifting_at_rest() -> None:
 
 
 @pytest.mark.parametrize("told", ["nothing", "insert", "rotate"])
-def test_the_measured_roll_is_watched_like_the_depth(told: str) -> None:
-    bench = Bench()
-    guard = bench.enabled()
+def test_the_measured_roll_is_watched_like_the_depth(bench: Bench, guard: GuardedStage, told: str) -> None:
     bench.turns(0.6)
     if told == "insert":
         guard.insert(20.0, 5.0)
@@ -276,9 +256,7 @@ def test_the_measured_roll_is_watched_like_the_depth(told: str) -> None:
 
 
 @pytest.mark.parametrize("jump", [1000.0, -1000.0, 2.0])
-def test_a_roll_that_jumps_without_a_command_is_a_fault(jump: float) -> None:
-    bench = Bench()
-    guard = bench.enabled()
+def test_a_roll_that_jumps_without_a_command_is_a_fault(bench: Bench, guard: GuardedStage, jump: float) -> None:
     bench.turn()
     bench.stage.roll_rad = jump
     bench.turn()
@@ -314,9 +292,9 @@ def test_a_roll_at_its_limit_may_be_off_by_the_tolerance() -> None:
 
 
 @pytest.mark.parametrize(("rise_n", "within_s", "is_fault"), [(2.6, 0.04, True), (2.4, 0.04, False), (3.9, 0.2, False)])
-def test_a_force_that_rises_too_fast(rise_n: float, within_s: float, is_fault: bool) -> None:
-    bench = Bench()
-    guard = bench.enabled()
+def test_a_force_that_rises_too_fast(
+    bench: Bench, guard: GuardedStage, rise_n: float, within_s: float, is_fault: bool
+) -> None:
     guard.insert(20.0, 5.0)
     steps = round(within_s / STEP_S)
     for number in range(1, steps + 1):
@@ -328,8 +306,7 @@ def test_a_force_that_rises_too_fast(rise_n: float, within_s: float, is_fault: b
     assert Cause.FORCE_EXCEEDED not in guard.state.latched
 
 
-def test_a_force_that_falls_fast_is_a_puncture_and_no_fault() -> None:
-    bench = Bench()
+def test_a_force_that_falls_fast_is_a_puncture_and_no_fault(bench: Bench) -> None:
     bench.force = {"force_n": (0.0, 0.0, 4.5)}
     guard = bench.enabled()
     bench.turns(0.1)

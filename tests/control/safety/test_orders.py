@@ -174,7 +174,7 @@ def test_in_every_state_a_force_stops_what_moves_by_order_of_the_loop() -> None:
     assert counts[5] == counts[7] > 100  # there are no other states
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_after_every_single_sequence_too() -> None:
     counts, found = explored(3, merge=False)
     assert counts[-1] > 500

@@ -11,11 +11,9 @@ from tests.control.safety.bench import Bench
 
 @pytest.mark.parametrize("by", ["a blocked guard", "a validation that fails"])
 def test_a_command_that_a_stop_without_the_lock_has_overtaken_hides_no_cause(
-    by: str, monkeypatch: pytest.MonkeyPatch
+    bench: Bench, guard: GuardedStage, by: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The stage refuses the command, because the stop had a higher number: that is no failure of the stage."""
-    bench = Bench()
-    guard = bench.enabled()
     raised: list[MotionRefused] = []
 
     def stop() -> None:

@@ -200,8 +200,7 @@ def test_after_it_a_fault_stops_the_next_insertion() -> None:
     assert guard.state.operating is OperatingState.FAULT
 
 
-def test_it_ends_also_if_it_began_before_the_first_sample() -> None:
-    bench = Bench()
+def test_it_ends_also_if_it_began_before_the_first_sample(bench: Bench) -> None:
     bench.guard.retract(-100.0, 20.0, "anna")
     bench.stage.depth_mm, bench.stage.moving = 40.0, True
     for _ in range(40):

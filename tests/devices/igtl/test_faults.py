@@ -29,6 +29,11 @@ def settled(bench: Bench) -> IgtlTracker:
     return tracker
 
 
+@pytest.fixture
+def tracker(bench: Bench) -> IgtlTracker:
+    return settled(bench)
+
+
 def while_it_lasts(tracker: IgtlTracker) -> None:
     for _ in range(400):
         tracker.read(0.05)
@@ -42,8 +47,7 @@ def fault_of(tracker: IgtlTracker, cause: str) -> None:
         tracker.read(0)
 
 
-def test_18_damaged_messages_are_dropped_and_counted(bench: Bench) -> None:
-    tracker = settled(bench)
+def test_18_damaged_messages_are_dropped_and_counted(tracker: IgtlTracker, bench: Bench) -> None:
     bench.faults.damage = 2
     assert next_of(tracker).health is Health.GOOD
     damaged = tracker.counts.damaged
@@ -51,14 +55,12 @@ def test_18_damaged_messages_are_dropped_and_counted(bench: Bench) -> None:
     assert tracker.counts.lost == (2 if bench.kind.holds_tools else 1)
 
 
-def test_18_damage_without_end_is_a_fault(bench: Bench) -> None:
-    tracker = settled(bench)
+def test_18_damage_without_end_is_a_fault(tracker: IgtlTracker, bench: Bench) -> None:
     bench.faults.damage = 10**6
     fault_of(tracker, "10 damaged messages in succession")
 
 
-def test_19_a_message_that_is_cut_short_costs_no_other(bench: Bench) -> None:
-    tracker = settled(bench)
+def test_19_a_message_that_is_cut_short_costs_no_other(tracker: IgtlTracker, bench: Bench) -> None:
     before = next_of(tracker).stamp.sequence
     bench.faults.cut = 1
     bench.faults.noise_before = b"\x00\x01TRANSFORM and other noise"
@@ -68,8 +70,7 @@ def test_19_a_message_that_is_cut_short_costs_no_other(bench: Bench) -> None:
     assert after.stamp.lost == 1
 
 
-def test_19_a_length_that_nobody_has_costs_one_message(bench: Bench) -> None:
-    tracker = settled(bench)
+def test_19_a_length_that_nobody_has_costs_one_message(tracker: IgtlTracker, bench: Bench) -> None:
     bench.faults.absurd = 1
     after = next_of(tracker)
     assert after.stamp.lost == 1
@@ -126,8 +127,7 @@ def test_22_the_identity_that_stands_for_nothing_is_known_without_a_status(kind:
     assert (sample.health, sample.notes) == (Health.MISSING, ("not seen, or exactly at the origin",))
 
 
-def test_23_a_repeated_frame_is_not_a_sample_and_ends_in_a_fault(bench: Bench) -> None:
-    tracker = settled(bench)
+def test_23_a_repeated_frame_is_not_a_sample_and_ends_in_a_fault(tracker: IgtlTracker, bench: Bench) -> None:
     bench.faults.freeze = True
     began_ns = bench.clock.now_ns()
     assert tracker.read(0.2) is None
@@ -136,8 +136,7 @@ def test_23_a_repeated_frame_is_not_a_sample_and_ends_in_a_fault(bench: Bench) -
     assert bench.clock.now_ns() - began_ns < 0.6e9
 
 
-def test_23_skipped_frames_are_counted(bench: Bench) -> None:
-    tracker = settled(bench)
+def test_23_skipped_frames_are_counted(tracker: IgtlTracker, bench: Bench) -> None:
     bench.faults.skip = 3
     sample = next_of(tracker)
     assert sample.stamp.lost == 3
@@ -158,8 +157,7 @@ def test_23_a_frame_without_time_may_be_any_frame(bench: Bench) -> None:
     assert "without a time" in sample.notes[0]
 
 
-def test_24_what_is_no_rotation_is_suspect_or_missing(bench: Bench) -> None:
-    tracker = settled(bench)
+def test_24_what_is_no_rotation_is_suspect_or_missing(tracker: IgtlTracker, bench: Bench) -> None:
     bench.faults.stretch = 1.02
     sample = next_of(tracker)
     assert sample.health is Health.SUSPECT
@@ -171,8 +169,7 @@ def test_24_what_is_no_rotation_is_suspect_or_missing(bench: Bench) -> None:
     assert next_of(tracker).health is Health.GOOD
 
 
-def test_24_a_flipped_sign_is_turned_back(bench: Bench) -> None:
-    tracker = settled(bench)
+def test_24_a_flipped_sign_is_turned_back(tracker: IgtlTracker, bench: Bench) -> None:
     before = next_of(tracker).quaternion
     bench.faults.flip = True
     after = next_of(tracker)
@@ -180,8 +177,7 @@ def test_24_a_flipped_sign_is_turned_back(bench: Bench) -> None:
     assert math.fsum(map(float.__mul__, before, after.quaternion)) > 0.99
 
 
-def test_24_another_tool_under_the_name_is_suspect(bench: Bench) -> None:
-    tracker = settled(bench)
+def test_24_another_tool_under_the_name_is_suspect(tracker: IgtlTracker, bench: Bench) -> None:
     bench.tip.pose = bench.device.tools[1].pose
     sample = next_of(tracker)
     assert sample.health is Health.SUSPECT
@@ -204,8 +200,7 @@ def test_a_tool_without_orientation_is_suspect() -> None:
     assert "without orientation" in sample.notes[0]
 
 
-def test_25_a_server_whose_time_goes_back_is_a_fault(bench: Bench) -> None:
-    tracker = settled(bench)
+def test_25_a_server_whose_time_goes_back_is_a_fault(tracker: IgtlTracker, bench: Bench) -> None:
     bench.faults.time_step_s = -5.0
     fault_of(tracker, "time went back by")
 
@@ -225,24 +220,21 @@ def test_26_frames_that_lay_in_a_queue_are_suspect_and_the_next_are_not(bench: B
     assert next_of(tracker).health is Health.GOOD
 
 
-def test_26_silence_is_a_fault_in_time(bench: Bench) -> None:
-    tracker = settled(bench)
+def test_26_silence_is_a_fault_in_time(tracker: IgtlTracker, bench: Bench) -> None:
     began_ns = bench.clock.now_ns()
     bench.faults.mute = True
     fault_of(tracker, "for 0.5 s")
     assert bench.clock.now_ns() - began_ns < 0.6e9
 
 
-def test_26_waiting_ends_at_the_deadline(bench: Bench) -> None:
-    tracker = settled(bench)
+def test_26_waiting_ends_at_the_deadline(tracker: IgtlTracker, bench: Bench) -> None:
     bench.faults.mute = True
     began_ns = bench.clock.now_ns()
     assert tracker.read(0.1) is None
     assert bench.clock.now_ns() - began_ns == pytest.approx(0.1e9, abs=1e6)
 
 
-def test_27_a_cable_that_is_out_closes_the_link(bench: Bench) -> None:
-    tracker = settled(bench)
+def test_27_a_cable_that_is_out_closes_the_link(tracker: IgtlTracker, bench: Bench) -> None:
     bench.link.unplug()
     for _ in range(2):
         with pytest.raises(LinkClosed):

@@ -29,6 +29,11 @@ def settled(bench: Bench) -> NdiTracker:
     return tracker
 
 
+@pytest.fixture
+def tracker(bench: Bench) -> NdiTracker:
+    return settled(bench)
+
+
 def fault_of(tracker: NdiTracker, cause: str, timeout_s: float = 0.05, within: int = 400) -> None:
     """Read until the tracker gives up, and see that it stays given up."""
     try:
@@ -59,8 +64,7 @@ def test_a_tool_that_is_not_there_is_refused(tool: str, rule: str) -> None:
         Bench().tracker(tool)
 
 
-def test_18_damaged_replies_are_asked_for_again(bench: Bench) -> None:
-    tracker = settled(bench)
+def test_18_damaged_replies_are_asked_for_again(tracker: NdiTracker, bench: Bench) -> None:
     bench.faults.damage = 3
     began_ns = bench.clock.now_ns()
     assert next_of(tracker).health is Health.GOOD
@@ -68,14 +72,12 @@ def test_18_damaged_replies_are_asked_for_again(bench: Bench) -> None:
     assert bench.clock.now_ns() - began_ns < 0.7e9
 
 
-def test_18_damage_without_end_is_a_fault(bench: Bench) -> None:
-    tracker = settled(bench)
+def test_18_damage_without_end_is_a_fault(tracker: NdiTracker, bench: Bench) -> None:
     bench.faults.damage = 10**6
     fault_of(tracker, "10 damaged replies in succession")
 
 
-def test_19_a_reply_that_is_cut_short_is_given_up_and_the_next_is_found(bench: Bench) -> None:
-    tracker = settled(bench)
+def test_19_a_reply_that_is_cut_short_is_given_up_and_the_next_is_found(tracker: NdiTracker, bench: Bench) -> None:
     bench.faults.cut = 2
     assert next_of(tracker, 1.0).health is Health.GOOD
     assert tracker.counts.damaged == 2
@@ -83,8 +85,7 @@ def test_19_a_reply_that_is_cut_short_is_given_up_and_the_next_is_found(bench: B
     assert next_of(tracker, 1.0).health is Health.GOOD
 
 
-def test_20_a_transient_error_is_asked_again_and_another_is_a_fault(bench: Bench) -> None:
-    tracker = settled(bench)
+def test_20_a_transient_error_is_asked_again_and_another_is_a_fault(tracker: NdiTracker, bench: Bench) -> None:
     bench.faults.error = 0x04
     assert next_of(tracker).health is Health.GOOD
     assert tracker.counts.refused == 1
@@ -92,8 +93,7 @@ def test_20_a_transient_error_is_asked_again_and_another_is_a_fault(bench: Bench
     fault_of(tracker, "error 0C, not possible in this mode")
 
 
-def test_21_a_coil_that_is_not_seen_is_missing_and_comes_back(bench: Bench) -> None:
-    tracker = settled(bench)
+def test_21_a_coil_that_is_not_seen_is_missing_and_comes_back(tracker: NdiTracker, bench: Bench) -> None:
     bench.tip.visibility = NdiVisibility.MISSING
     sample = next_of(tracker)
     assert (sample.health, sample.notes) == (Health.MISSING, ("not seen",))
@@ -110,8 +110,7 @@ def test_21_a_tool_that_is_no_longer_tracked_is_a_fault(seen: NdiVisibility) -> 
     fault_of(tracker, f"is {seen} in the middle")
 
 
-def test_21_a_tool_that_is_gone_from_the_reply_is_a_fault(bench: Bench) -> None:
-    tracker = settled(bench)
+def test_21_a_tool_that_is_gone_from_the_reply_is_a_fault(tracker: NdiTracker, bench: Bench) -> None:
     bench.tip.enabled = False
     fault_of(tracker, "handle 0A occurs 0 times")
 
@@ -122,17 +121,15 @@ def test_21_a_tool_that_is_gone_from_the_reply_is_a_fault(bench: Bench) -> None:
      (0, 2.5, "fit error 2.5 mm")],
 )  # fmt: skip
 def test_22_plausible_numbers_that_the_device_doubts_are_suspect(
-    bench: Bench, bits: int, error_mm: float, note: str
+    tracker: NdiTracker, bench: Bench, bits: int, error_mm: float, note: str
 ) -> None:
-    tracker = settled(bench)
     bench.tip.port_bits, bench.tip.error_mm = bits, error_mm
     sample = next_of(tracker)
     assert sample.health is Health.SUSPECT
     assert note in sample.notes[0]
 
 
-def test_23_a_repeated_frame_is_not_a_sample_and_ends_in_a_fault(bench: Bench) -> None:
-    tracker = settled(bench)
+def test_23_a_repeated_frame_is_not_a_sample_and_ends_in_a_fault(tracker: NdiTracker, bench: Bench) -> None:
     bench.faults.freeze = True
     began_ns = bench.clock.now_ns()
     assert tracker.read(0.2) is None
@@ -141,8 +138,7 @@ def test_23_a_repeated_frame_is_not_a_sample_and_ends_in_a_fault(bench: Bench) -
     assert bench.clock.now_ns() - began_ns < 0.6e9
 
 
-def test_23_skipped_frames_are_counted_with_the_sample_after_them(bench: Bench) -> None:
-    tracker = settled(bench)
+def test_23_skipped_frames_are_counted_with_the_sample_after_them(tracker: NdiTracker, bench: Bench) -> None:
     bench.clock.advance(0.1)
     assert next_of(tracker).stamp.lost == 3
     assert tracker.counts.lost == 3
@@ -163,8 +159,7 @@ def test_23_a_frame_number_that_goes_back_is_a_restart(bench: Bench) -> None:
     fault_of(tracker, "went back")
 
 
-def test_24_a_quaternion_that_is_not_one_is_suspect_and_worse_is_no_pose(bench: Bench) -> None:
-    tracker = settled(bench)
+def test_24_a_quaternion_that_is_not_one_is_suspect_and_worse_is_no_pose(tracker: NdiTracker, bench: Bench) -> None:
     bench.tip.pose = lambda time_s: (tuple(0.9 * each for each in needle(time_s)[0]), needle(time_s)[1])  # type: ignore[return-value]
     sample = next_of(tracker)
     assert (sample.health, sample.notes) == (Health.SUSPECT, ("quaternion of length 0.9",))
@@ -181,16 +176,14 @@ def test_24_infinite_numbers_are_no_pose() -> None:
     assert next_of(tracker).health is Health.MISSING
 
 
-def test_24_the_sign_of_the_quaternion_does_not_flip(bench: Bench) -> None:
-    tracker = settled(bench)
+def test_24_the_sign_of_the_quaternion_does_not_flip(tracker: NdiTracker, bench: Bench) -> None:
     bench.tip.pose = lambda time_s: (tuple(-each for each in needle(time_s)[0]), needle(time_s)[1])  # type: ignore[return-value]
     sample = next_of(tracker)
     assert sample.health is Health.GOOD
     assert sample.quaternion[0] > 0.99
 
 
-def test_24_a_handle_that_has_gone_to_another_tool(bench: Bench) -> None:
-    tracker = settled(bench)
+def test_24_a_handle_that_has_gone_to_another_tool(tracker: NdiTracker, bench: Bench) -> None:
     first, second = bench.device.tools
     first.handle, second.handle = second.handle, first.handle
     sample = next_of(tracker)
@@ -200,29 +193,25 @@ def test_24_a_handle_that_has_gone_to_another_tool(bench: Bench) -> None:
     fault_of(tracker, "is it the same tool")
 
 
-def test_24_a_handle_that_comes_twice_is_a_fault(bench: Bench) -> None:
-    tracker = settled(bench)
+def test_24_a_handle_that_comes_twice_is_a_fault(tracker: NdiTracker, bench: Bench) -> None:
     bench.device.tools = [*bench.device.tools, SimulatedTool(TIP, needle, initialised=True, enabled=True)]
     fault_of(tracker, "handle 0A occurs 2 times")
 
 
-def test_25_a_device_that_resets_itself_is_a_fault(bench: Bench) -> None:
-    tracker = settled(bench)
+def test_25_a_device_that_resets_itself_is_a_fault(tracker: NdiTracker, bench: Bench) -> None:
     bench.link.say(bench.device.reset())
     bench.clock.advance(0.01)
     fault_of(tracker, "it has reset itself")
 
 
-def test_25_a_reset_that_goes_unseen_is_a_fault_of_the_next_reply(bench: Bench) -> None:
-    tracker = settled(bench)
+def test_25_a_reset_that_goes_unseen_is_a_fault_of_the_next_reply(tracker: NdiTracker, bench: Bench) -> None:
     bench.device.reset()
     fault_of(tracker, "not possible in this mode")
     tracker.start()
     assert next_of(tracker).health is Health.GOOD
 
 
-def test_26_a_slow_reply_is_waited_for_and_its_age_is_told(bench: Bench) -> None:
-    tracker = settled(bench)
+def test_26_a_slow_reply_is_waited_for_and_its_age_is_told(tracker: NdiTracker, bench: Bench) -> None:
     bench.clock.advance(0.03)
     bench.faults.delay_s = 1.0
     asked = len(bench.device.commands)
@@ -234,8 +223,7 @@ def test_26_a_slow_reply_is_waited_for_and_its_age_is_told(bench: Bench) -> None
     assert next_of(tracker).health is Health.GOOD
 
 
-def test_26_a_slow_reply_with_the_last_frame_again_is_no_stop(bench: Bench) -> None:
-    tracker = settled(bench)
+def test_26_a_slow_reply_with_the_last_frame_again_is_no_stop(tracker: NdiTracker, bench: Bench) -> None:
     repeated = tracker.counts.repeated
     bench.faults.delay_s = 1.0
     assert tracker.read(0.9) is None
@@ -244,24 +232,21 @@ def test_26_a_slow_reply_with_the_last_frame_again_is_no_stop(bench: Bench) -> N
     assert tracker.counts.repeated == repeated + 1
 
 
-def test_26_no_reply_at_all_is_a_fault_after_twelve_seconds(bench: Bench) -> None:
-    tracker = settled(bench)
+def test_26_no_reply_at_all_is_a_fault_after_twelve_seconds(tracker: NdiTracker, bench: Bench) -> None:
     bench.faults.mute = True
     began_ns = bench.clock.now_ns()
     fault_of(tracker, "no reply to [BT]X for 12 s".replace("[BT]", "T" if bench.text else "B"))
     assert bench.clock.now_ns() - began_ns == pytest.approx(12e9, rel=0.02)
 
 
-def test_26_a_late_answer_to_a_damaged_question_is_not_taken_for_the_next(bench: Bench) -> None:
-    tracker = settled(bench)
+def test_26_a_late_answer_to_a_damaged_question_is_not_taken_for_the_next(tracker: NdiTracker, bench: Bench) -> None:
     bench.link.say(encode_text("OKAY"))
     bench.clock.advance(0.01)
     assert next_of(tracker).health is Health.GOOD
     assert tracker.counts.damaged == 0
 
 
-def test_27_a_cable_that_is_out_closes_the_link(bench: Bench) -> None:
-    tracker = settled(bench)
+def test_27_a_cable_that_is_out_closes_the_link(tracker: NdiTracker, bench: Bench) -> None:
     bench.link.unplug()
     with pytest.raises(LinkClosed):
         tracker.read(0.1)
@@ -269,15 +254,13 @@ def test_27_a_cable_that_is_out_closes_the_link(bench: Bench) -> None:
 
 
 @pytest.mark.parametrize(("status", "note"), [(0x01, "synchronisation"), (0x02, "infrared"), (0x08, "recoverable")])
-def test_what_the_system_doubts_is_suspect(bench: Bench, status: int, note: str) -> None:
-    tracker = settled(bench)
+def test_what_the_system_doubts_is_suspect(tracker: NdiTracker, bench: Bench, status: int, note: str) -> None:
     bench.faults.system_status = status
     sample = next_of(tracker)
     assert sample.health is Health.SUSPECT
     assert note in sample.notes[0]
 
 
-def test_a_hardware_failure_is_a_fault(bench: Bench) -> None:
-    tracker = settled(bench)
+def test_a_hardware_failure_is_a_fault(tracker: NdiTracker, bench: Bench) -> None:
     bench.faults.system_status = 0x10
     fault_of(tracker, "hardware failure")

@@ -24,10 +24,9 @@ MS = 1e-3
      (RobotDriveFaults(slow=0.5), "an axis does not follow", 42 * MS)],
 )  # fmt: skip
 def test_28_30_what_is_wrong_with_a_drive_stops_it_and_is_told(
-    injected: RobotDriveFaults, cause: str, within_s: float
+    bench: Bench, injected: RobotDriveFaults, cause: str, within_s: float
 ) -> None:
     """At 10 mm/s. What needs time to be seen has gone, or should have gone, 0.2 mm."""
-    bench = Bench()
     stage = moving(bench)
     bench.drive.faults = injected
     began_ns = bench.clock.now_ns()
@@ -41,8 +40,7 @@ def test_28_30_what_is_wrong_with_a_drive_stops_it_and_is_told(
     stands_still(bench, 0.02)
 
 
-def test_30_from_a_limit_switch_there_is_only_one_way() -> None:
-    bench = Bench()
+def test_30_from_a_limit_switch_there_is_only_one_way(bench: Bench) -> None:
     stage = moving(bench)
     bench.drive.faults.reported = Fault.LIMIT
     fault_of(stage, "a limit switch")
@@ -57,8 +55,7 @@ def test_30_from_a_limit_switch_there_is_only_one_way() -> None:
     assert next_of(stage).moving
 
 
-def test_31_an_emergency_stop_that_is_released_does_not_restart() -> None:
-    bench = Bench()
+def test_31_an_emergency_stop_that_is_released_does_not_restart(bench: Bench) -> None:
     stage = moving(bench)
     bench.drive.faults.reported = Fault.ESTOP
     fault_of(stage, "the emergency stop")

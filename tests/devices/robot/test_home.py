@@ -30,8 +30,7 @@ def homed(bench: Bench) -> bool | None:
     return found
 
 
-def test_a_jump_of_the_encoder_loses_the_zero_until_it_is_found() -> None:
-    bench = Bench()
+def test_a_jump_of_the_encoder_loses_the_zero_until_it_is_found(bench: Bench) -> None:
     assert homed(bench)
     stage = moving(bench)
     bench.drive.faults.jump_mm = 3.0
@@ -48,9 +47,7 @@ def test_a_jump_of_the_encoder_loses_the_zero_until_it_is_found() -> None:
     assert homed(bench)
 
 
-def test_the_controller_may_say_that_the_zero_is_lost_also_in_a_fault() -> None:
-    bench = Bench()
-    stage = bench.stage()
+def test_the_controller_may_say_that_the_zero_is_lost_also_in_a_fault(bench: Bench, stage: RobotStage) -> None:
     next_of(stage)
     stage.unhome()
     assert stage.homed is False
@@ -66,8 +63,7 @@ def test_the_controller_may_say_that_the_zero_is_lost_also_in_a_fault() -> None:
         stage.home()
 
 
-def test_a_robot_without_its_zero_says_so_from_the_start() -> None:
-    bench = Bench()
+def test_a_robot_without_its_zero_says_so_from_the_start(bench: Bench) -> None:
     bench.machine.homed = RobotMachine(SteadyDrive(), homed=False).homed
     stage = bench.stage()
     assert stage.homed is None  # before the first status
@@ -75,8 +71,7 @@ def test_a_robot_without_its_zero_says_so_from_the_start() -> None:
     assert stage.homed is False
 
 
-def test_standing_is_what_the_positions_say() -> None:
-    bench = Bench()
+def test_standing_is_what_the_positions_say(bench: Bench) -> None:
     bench.wait(0.1)
     stage = moving(bench)
     assert stage.last_status is not None
@@ -101,8 +96,7 @@ class OldMachine(RobotMachine):
         return super().receive(datagram, sender, now_ns)
 
 
-def test_an_old_robot_is_spoken_to_in_its_version() -> None:
-    bench = Bench()
+def test_an_old_robot_is_spoken_to_in_its_version(bench: Bench) -> None:
     bench.machine = bench.network.machine = OldMachine(bench.drive)
     stage: RobotStage = moving(bench)
     assert stage._conversation.version == OLDEST_VERSION
@@ -127,9 +121,7 @@ def test_an_old_controller_is_answered_in_its_version() -> None:
     assert decode(machine.receive(encode(stop), ("old", 1), 0)).head.version == OLDEST_VERSION
 
 
-def test_in_a_session_no_answer_changes_the_version() -> None:
-    bench = Bench()
-    stage = bench.stage()
+def test_in_a_session_no_answer_changes_the_version(bench: Bench, stage: RobotStage) -> None:
     next_of(stage)
     false = Answer(Head(0, 1, 1, version=OLDEST_VERSION), RobotKind.HELLO, Result.WRONG_VERSION, RobotState.DISABLED)
     stage._wire.supervisor.take(encode(false), bench.clock.now_ns())

@@ -13,7 +13,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from needleplan.devices.robot import Fault, RobotMachine, RobotNetwork, RobotState, RobotTiming, SteadyDrive
+from needleplan.devices.robot import Fault, RobotMachine, RobotNetwork, RobotStage, RobotState, RobotTiming, SteadyDrive
 from needleplan.devices.robot.messages import Answer, Head, Hello, Result, RobotCommand, RobotKind, decode, encode
 from needleplan.errors import DeviceFault
 from tests.devices.robot.bench import Bench, at_rest, fault_of, moving, next_of, raw, result_of, stands_still
@@ -22,8 +22,7 @@ MS = 1e-3
 
 
 @pytest.mark.parametrize("silence_s", [0.01, 0.03, 0.1])
-def test_32_the_robot_stops_itself_when_the_control_side_falls_silent(silence_s: float) -> None:
-    bench = Bench()
+def test_32_the_robot_stops_itself_when_the_control_side_falls_silent(bench: Bench, silence_s: float) -> None:
     stage = bench.stage(RobotTiming(silence_s=silence_s))
     stage.insert(100.0, 10.0)
     for _ in range(30):
@@ -36,9 +35,7 @@ def test_32_the_robot_stops_itself_when_the_control_side_falls_silent(silence_s:
     fault_of(stage, "nothing was received from the controller while the robot moved")
 
 
-def test_32_a_robot_at_rest_bears_silence_until_it_takes_another_controller() -> None:
-    bench = Bench()
-    stage = bench.stage()
+def test_32_a_robot_at_rest_bears_silence_until_it_takes_another_controller(bench: Bench, stage: RobotStage) -> None:
     bench.wait(4.0)
     stage.insert(1.0, 10.0)
     bench.clock.advance(-1)
@@ -52,9 +49,7 @@ def test_32_a_robot_at_rest_bears_silence_until_it_takes_another_controller() ->
     bench.stage(name="other")
 
 
-def test_32_a_thread_that_reads_does_not_hide_a_loop_that_has_died() -> None:
-    bench = Bench()
-    stage = bench.stage()
+def test_32_a_thread_that_reads_does_not_hide_a_loop_that_has_died(stage: RobotStage) -> None:
     stage.insert(100.0, 10.0)
     for _ in range(100):
         assert next_of(stage).moving
@@ -63,8 +58,7 @@ def test_32_a_thread_that_reads_does_not_hide_a_loop_that_has_died() -> None:
     fault_of(stage, "nothing was received")
 
 
-def test_32_no_reply_at_start() -> None:
-    bench = Bench()
+def test_32_no_reply_at_start(bench: Bench) -> None:
     bench.network.to_robot.cut = True
     began_ns = bench.clock.now_ns()
     with pytest.raises(DeviceFault, match=r"hello: no answer within 0\.9 s"):
@@ -72,8 +66,7 @@ def test_32_no_reply_at_start() -> None:
     assert bench.clock.now_ns() - began_ns <= 1.0e9
 
 
-def test_32_a_cut_link_stops_the_robot_and_is_told_here() -> None:
-    bench = Bench()
+def test_32_a_cut_link_stops_the_robot_and_is_told_here(bench: Bench) -> None:
     stage = moving(bench)
     bench.network.to_robot.cut = bench.network.from_robot.cut = True
     began_ns = bench.clock.now_ns()
@@ -89,8 +82,7 @@ def test_32_a_cut_link_stops_the_robot_and_is_told_here() -> None:
 
 @pytest.mark.parametrize("lost", range(6))
 @pytest.mark.parametrize("direction", ["to_robot", "from_robot"])
-def test_32_a_lost_datagram_does_not_lose_a_stop(lost: int, direction: str) -> None:
-    bench = Bench()
+def test_32_a_lost_datagram_does_not_lose_a_stop(bench: Bench, lost: int, direction: str) -> None:
     stage = moving(bench)
     getattr(bench.network, direction).lose = lost
     began_ns = bench.clock.now_ns()
@@ -101,8 +93,7 @@ def test_32_a_lost_datagram_does_not_lose_a_stop(lost: int, direction: str) -> N
     at_rest(stage)
 
 
-def test_32_a_stop_gets_through_where_most_is_lost() -> None:
-    bench = Bench()
+def test_32_a_stop_gets_through_where_most_is_lost(bench: Bench) -> None:
     stage = moving(bench)
     bench.network.to_robot.lose = 150
     fault_of(stage, "nothing was received")
@@ -111,9 +102,7 @@ def test_32_a_stop_gets_through_where_most_is_lost() -> None:
 
 
 @pytest.mark.parametrize("lost", [1, 3])
-def test_32_a_motion_of_which_the_answer_is_lost_begins_once(lost: int) -> None:
-    bench = Bench()
-    stage = bench.stage()
+def test_32_a_motion_of_which_the_answer_is_lost_begins_once(bench: Bench, stage: RobotStage, lost: int) -> None:
     bench.network.from_robot.lose = lost
     inserted = []
     begin = bench.drive.insert
@@ -124,9 +113,7 @@ def test_32_a_motion_of_which_the_answer_is_lost_begins_once(lost: int) -> None:
     assert inserted == [10.0]
 
 
-def test_32_a_motion_that_nobody_answers_is_stopped() -> None:
-    bench = Bench()
-    stage = bench.stage()
+def test_32_a_motion_that_nobody_answers_is_stopped(bench: Bench, stage: RobotStage) -> None:
     bench.network.from_robot.lose = 60
     with pytest.raises(DeviceFault, match=r"insert: no answer within 0\.03 s"):
         stage.insert(10.0, 10.0)
@@ -134,8 +121,7 @@ def test_32_a_motion_that_nobody_answers_is_stopped() -> None:
     stands_still(bench, 0.02)
 
 
-def test_32_duplicates_change_nothing() -> None:
-    bench = Bench()
+def test_32_duplicates_change_nothing(bench: Bench) -> None:
     bench.network.to_robot.double = bench.network.from_robot.double = 10_000
     stage = bench.stage()
     stage.insert(5.0, 10.0)
@@ -150,18 +136,14 @@ def test_32_duplicates_change_nothing() -> None:
     assert bench.truth[1]
 
 
-def test_32_lost_statuses_are_counted_with_the_sample_after_them() -> None:
-    bench = Bench()
-    stage = bench.stage()
+def test_32_lost_statuses_are_counted_with_the_sample_after_them(bench: Bench, stage: RobotStage) -> None:
     next_of(stage)
     bench.network.from_robot.lose = 7
     assert [next_of(stage).stamp.lost for _ in range(3)] == [7, 0, 0]
     assert stage.counts.lost == 7
 
 
-def test_32_who_does_not_read_is_told_how_much_was_lost() -> None:
-    bench = Bench()
-    stage = bench.stage()
+def test_32_who_does_not_read_is_told_how_much_was_lost(bench: Bench, stage: RobotStage) -> None:
     last = next_of(stage).stamp.sequence
     bench.wait(3.0)
     stage.stop()
@@ -170,9 +152,9 @@ def test_32_who_does_not_read_is_told_how_much_was_lost() -> None:
 
 
 @pytest.mark.parametrize("delay_s", [0.035, 0.2])
-def test_32_a_command_that_comes_after_its_deadline_is_not_executed(delay_s: float) -> None:
-    bench = Bench()
-    stage = bench.stage()
+def test_32_a_command_that_comes_after_its_deadline_is_not_executed(
+    bench: Bench, stage: RobotStage, delay_s: float
+) -> None:
     next_of(stage)
     bench.network.to_robot.delay_s = delay_s
     with pytest.raises(DeviceFault, match=r"after its deadline|no answer"):
@@ -183,16 +165,14 @@ def test_32_a_command_that_comes_after_its_deadline_is_not_executed(delay_s: flo
     assert bench.machine.counts.late > 0
 
 
-def test_32_late_proofs_of_life_do_not_count() -> None:
-    bench = Bench()
+def test_32_late_proofs_of_life_do_not_count(bench: Bench) -> None:
     stage = moving(bench)
     bench.network.to_robot.delay_s = 0.05
     fault_of(stage, "nothing was received")
     assert bench.truth[0] <= 0.5 + 10 * 0.032
 
 
-def test_32_a_delay_below_the_deadline_is_borne() -> None:
-    bench = Bench()
+def test_32_a_delay_below_the_deadline_is_borne(bench: Bench) -> None:
     bench.network.to_robot.delay_s = bench.network.from_robot.delay_s = 0.006
     stage = bench.stage()
     stage.insert(5.0, 10.0)
@@ -201,17 +181,14 @@ def test_32_a_delay_below_the_deadline_is_borne() -> None:
     assert stage.robot_clock.round_trip_s == pytest.approx(0.012, abs=1e-3)
 
 
-def test_32_a_motion_behind_a_stop_is_not_begun() -> None:
-    bench = Bench()
-    stage = bench.stage()
+def test_32_a_motion_behind_a_stop_is_not_begun(bench: Bench, stage: RobotStage) -> None:
     stage.stop()
     answer = raw(bench, RobotKind.INSERT, number=2)
     assert result_of(answer) is Result.SUPERSEDED
     stands_still(bench, 0.02)
 
 
-def test_32_an_old_session_is_refused() -> None:
-    bench = Bench()
+def test_32_an_old_session_is_refused(bench: Bench) -> None:
     with bench.stage(session=7):
         pass
     with pytest.raises(DeviceFault, match="hello: the robot has ended this session"):
@@ -230,15 +207,13 @@ def test_32_an_old_session_is_refused() -> None:
     assert next_of(stage).moving
 
 
-def test_32_anybody_may_stop() -> None:
-    bench = Bench()
+def test_32_anybody_may_stop(bench: Bench) -> None:
     moving(bench)
     assert result_of(raw(bench, RobotKind.STOP, session=0)) is Result.ACCEPTED
     assert not bench.truth[1]
 
 
-def test_32_another_version_is_refused_and_named() -> None:
-    bench = Bench()
+def test_32_another_version_is_refused_and_named(bench: Bench) -> None:
     newer = bytearray(encode(Hello(Head(1, 1, 1))))
     newer[4] = 4
     newer[-4:] = struct.pack("<I", zlib.crc32(bytes(newer[:-4])))
@@ -256,8 +231,7 @@ def test_32_another_version_is_refused_and_named() -> None:
         bench.stage()
 
 
-def test_36_two_controllers_at_once() -> None:
-    bench = Bench()
+def test_36_two_controllers_at_once(bench: Bench) -> None:
     first = moving(bench)
     with pytest.raises(DeviceFault, match="hello: the robot has another controller"):
         bench.stage(RobotTiming(answer_s=0.01), name="second")
@@ -270,8 +244,7 @@ def test_36_two_controllers_at_once() -> None:
     assert next_of(first).moving
 
 
-def test_a_restarted_robot_no_longer_knows_us() -> None:
-    bench = Bench()
+def test_a_restarted_robot_no_longer_knows_us(bench: Bench) -> None:
     stage = moving(bench)
     bench.network.machine = RobotMachine(SteadyDrive())
     fault_of(stage, "the robot has ended this session")
@@ -315,9 +288,7 @@ def test_whatever_happens_it_stands_still_a_moment_after_the_last_word(story: li
     stands_still(bench, 0.2)
 
 
-def test_a_stop_is_sent_before_anything_that_has_arrived_is_read() -> None:
-    bench = Bench()
-    stage = bench.stage()
+def test_a_stop_is_sent_before_anything_that_has_arrived_is_read(bench: Bench, stage: RobotStage) -> None:
     stage.insert(100.0, 5.0)
     bench.wait(0.02)
     sent, received = len(bench.network.to_robot.seen), []

@@ -35,9 +35,8 @@ def until_fault(bench: Bench, stage: RobotStage) -> RobotDriveState:
     ((20.0, 0.0), 30.2), ((-20.0, 0.0), -5.2), ((0.0, 5.0), 4.05), ((0.0, -5.0), -4.05),
 ])  # fmt: skip
 def test_an_axis_that_leaves_the_limits_of_the_session_by_itself_is_stopped(
-    runaway: tuple[float, float], position: float
+    bench: Bench, runaway: tuple[float, float], position: float
 ) -> None:
-    bench = Bench()
     stage = bench.stage(limits=LIMITS)
     bench.drive.faults.runaway = runaway
     stopped = until_fault(bench, stage)
@@ -47,8 +46,7 @@ def test_an_axis_that_leaves_the_limits_of_the_session_by_itself_is_stopped(
     assert measured == pytest.approx(position, abs=0.0201)  # one tick
 
 
-def test_the_controller_is_told_and_a_motion_is_refused_until_a_reset() -> None:
-    bench = Bench()
+def test_the_controller_is_told_and_a_motion_is_refused_until_a_reset(bench: Bench) -> None:
     stage = bench.stage(limits=LIMITS)
     bench.drive.faults.runaway = (50.0, 0.0)
     fault_of(stage, "the measured depth or roll is beyond the limits of the session")
@@ -63,8 +61,7 @@ def test_the_controller_is_told_and_a_motion_is_refused_until_a_reset() -> None:
     assert bench.machine.state is RobotState.ENABLED
 
 
-def test_a_needle_that_lies_beyond_the_limits_of_a_session_can_be_pulled_out_and_not_pushed_in() -> None:
-    bench = Bench()
+def test_a_needle_that_lies_beyond_the_limits_of_a_session_can_be_pulled_out_and_not_pushed_in(bench: Bench) -> None:
     first = bench.stage()
     first.insert(60.0, 50.0)
     while next_of(first).moving:
@@ -88,8 +85,7 @@ def test_without_a_session_the_limits_of_the_robot_hold() -> None:
     assert bench.machine.faults == Fault.BEYOND
 
 
-def test_a_motion_to_the_very_limit_is_no_fault() -> None:
-    bench = Bench()
+def test_a_motion_to_the_very_limit_is_no_fault(bench: Bench) -> None:
     stage = bench.stage(limits=LIMITS)
     for depth_mm in (15.0, 30.0, 15.0, 0.0, -5.0):
         stage.insert(depth_mm, 8.0)

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from needleplan.devices.robot import MotionLimits, RobotLimits, RobotState, RobotTiming, read_key
+from needleplan.devices.robot import MotionLimits, RobotLimits, RobotStage, RobotState, RobotTiming, read_key
 from needleplan.devices.robot.messages import Answer, Head, Hello, Result, RobotCommand, RobotKind, decode, encode
 from needleplan.errors import AddressError, DeviceFault
 from tests.devices.robot.bench import Bench, fault_of, moving, next_of, raw, result_of, stands_still
@@ -25,16 +25,14 @@ SHORT = RobotTiming(answer_s=0.02)
     (RobotKind.INSERT, 1.0, -1.0, Result.OUT_OF_RANGE),
 ])  # fmt: skip
 def test_a_motion_beyond_the_limits_of_the_session_is_refused_with_its_cause(
-    kind: RobotKind, target: float, speed: float, result: Result
+    bench: Bench, kind: RobotKind, target: float, speed: float, result: Result
 ) -> None:
-    bench = Bench()
     bench.stage(limits=NARROW)
     assert result_of(raw(bench, kind, target=target, speed=speed)) is result
     assert bench.truth[1] == (result is Result.ACCEPTED)
 
 
-def test_a_deadline_far_in_the_future_is_refused() -> None:
-    bench = Bench()
+def test_a_deadline_far_in_the_future_is_refused(bench: Bench) -> None:
     bench.stage(limits=NARROW)
     now_ns = bench.clock.now_ns() + bench.network.ahead_ns
     motion = {"target": 1.0, "speed": 1.0}
@@ -48,8 +46,7 @@ def test_a_deadline_far_in_the_future_is_refused() -> None:
     (MotionLimits(rotation_rad_s=-1.0), "rotation speed"), (MotionLimits(valid_us=1_500_001), "deadline is farther"),
     (MotionLimits(most_mm=float("inf")), "does not accept"),
 ])  # fmt: skip
-def test_a_session_cannot_widen_the_limits_of_the_robot(limits: MotionLimits, why: str) -> None:
-    bench = Bench()
+def test_a_session_cannot_widen_the_limits_of_the_robot(bench: Bench, limits: MotionLimits, why: str) -> None:
     with pytest.raises(DeviceFault, match=f"hello: .*{why}"):
         bench.stage(limits=limits)
     assert bench.machine.controller is None
@@ -68,8 +65,7 @@ def test_the_limits_of_a_session_lie_within_those_of_the_robot(asked: MotionLimi
         assert 0 < got.valid_us <= own.valid_us
 
 
-def test_limits_are_fixed_for_the_session() -> None:
-    bench = Bench()
+def test_limits_are_fixed_for_the_session(bench: Bench) -> None:
     bench.stage(limits=NARROW)
     session = bench.machine._session
     assert session is not None
@@ -85,8 +81,7 @@ def stranger_stops(bench: Bench) -> None:
 
 
 @pytest.mark.parametrize("before", [moving, Bench.stage])
-def test_a_stop_by_a_stranger_is_a_fault_at_rest_and_moving(before: Callable[[Bench], object]) -> None:
-    bench = Bench()
+def test_a_stop_by_a_stranger_is_a_fault_at_rest_and_moving(bench: Bench, before: Callable[[Bench], object]) -> None:
     stage = before(bench)
     stranger_stops(bench)
     assert not bench.truth[1]
@@ -100,9 +95,7 @@ def test_a_stop_by_a_stranger_is_a_fault_at_rest_and_moving(before: Callable[[Be
     assert result_of(raw(bench, RobotKind.INSERT)) is Result.IN_FAULT
 
 
-def test_a_motion_that_arrives_behind_the_stop_of_a_stranger_is_not_obeyed() -> None:
-    bench = Bench()
-    stage = bench.stage()
+def test_a_motion_that_arrives_behind_the_stop_of_a_stranger_is_not_obeyed(bench: Bench, stage: RobotStage) -> None:
     next_of(stage)
     bench.network.to_robot.delay_s = 0.01
     stranger_stops(bench)
@@ -111,17 +104,15 @@ def test_a_motion_that_arrives_behind_the_stop_of_a_stranger_is_not_obeyed() -> 
     stands_still(bench, 0.2)
 
 
-def test_a_stranger_may_stop_a_robot_without_a_session() -> None:
-    bench = Bench()
+def test_a_stranger_may_stop_a_robot_without_a_session(bench: Bench) -> None:
     bench.wait(0.01)
     stranger_stops(bench)
     assert bench.machine.state is RobotState.DISABLED
     bench.stage()
 
 
-def test_a_robot_that_rests_before_its_goal_is_a_fault() -> None:
+def test_a_robot_that_rests_before_its_goal_is_a_fault(bench: Bench) -> None:
     """For example because a person has stopped it at its own panel, which no message tells."""
-    bench = Bench()
     stage = moving(bench)
     bench.drive.stop()
     fault_of(stage, "it has ended its motion at .* instead of 100 mm, although this program has ordered no stop")
