@@ -11,11 +11,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from needleplan.artifacts import FileKind, file_format
-from needleplan.cli.answer import by_table, complain, note, percent, print_json, working
-from needleplan.cli.lattice_report import breath_lines, lattice_record, lattice_texts
+from needleplan.cli.answer import by_table, complain, note, one_line, percent, print_json, working
 from needleplan.cli.options import require_ending, require_inputs_kept, require_outputs
 from needleplan.cli.parser import Parser
-from needleplan.cli.streams import one_line
+from needleplan.cli.plan_space import breath_lines, lattice_record, lattice_texts
 from needleplan.cli.uncertainty import promise_lines, promise_record, promised, read_registered, read_uncertainty
 from needleplan.errors import InputError, Mistake
 

@@ -232,7 +232,7 @@ class SpaceInsertPlan(InsertPlan):
 
     def figure(self, report: InsertionReport, true_tip_mm: Vector | None) -> Figure:
         """Return the figure of the insertion in three slices and in 3D."""
-        from needleplan.reports.space_insertion import space_insertion_figure
+        from needleplan.reports.insertion import space_insertion_figure
 
         return space_insertion_figure(self.table, report, true_tip_mm)
 
@@ -245,7 +245,7 @@ class SpaceInsertPlan(InsertPlan):
 
     def vtp(self, report: InsertionReport) -> bytes:
         """Return planned path (`executed` 0) and estimated tip (1) as a VTP file in RAS."""
-        from needleplan.reports.space_insertion import insertion_vtp
+        from needleplan.reports.insertion import insertion_vtp
 
         return insertion_vtp(self.table, report)
 

@@ -9,7 +9,7 @@ from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING, Any, cast
 
 from needleplan.artifacts import CallRepr, FileKind, file_format
-from needleplan.cli.answer import by_table, complain, note, percent, print_json, print_summary, working
+from needleplan.cli.answer import by_table, complain, note, one_line, percent, print_json, print_summary, working
 from needleplan.cli.options import (
     EDGES,
     add_answer,
@@ -27,7 +27,6 @@ from needleplan.cli.options import (
 from needleplan.cli.parser import Parser
 from needleplan.cli.plan_space import run_plan_space
 from needleplan.cli.push import PUSH_FORM, PUSH_HELP, read_push
-from needleplan.cli.streams import one_line
 from needleplan.cli.uncertainty import (
     add_uncertainty,
     promise_lines,

@@ -12,13 +12,20 @@ import numpy as np
 
 from needleplan.config import raw_of
 from needleplan.errors import InputError, Mistake, PoseError
-from needleplan.page._export import page_html
 from needleplan.page._files import LANGUAGES, PageFiles
-from needleplan.page._packing import pack, plain, shares
 from needleplan.page._queue import PlanQueue
-from needleplan.page._recorded import recorded_plan, track_message
-from needleplan.page._requests import Request, best_success, draft_of, scenario_of, start_of
-from needleplan.page._risk import nearest_risk
+from needleplan.page._recorded import nearest_risk, recorded_plan, track_message
+from needleplan.page._requests import (
+    Request,
+    best_success,
+    draft_of,
+    pack,
+    page_html,
+    plain,
+    scenario_of,
+    shares,
+    start_of,
+)
 from needleplan.planning import Outcome, Pose, resolution_of
 from needleplan.scenario import Scenario, shipped
 

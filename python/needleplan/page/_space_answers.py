@@ -14,13 +14,9 @@ import numpy as np
 from needleplan.anatomy import OBSTACLE, OUTSIDE, TARGET, SpaceScenario, nearest_labels
 from needleplan.errors import InputError, Mistake
 from needleplan.page._answers import InsertingPage, Unknown
-from needleplan.page._export import page_html
 from needleplan.page._files import LANGUAGES
-from needleplan.page._packing import pack
-from needleplan.page._requests import Request
-from needleplan.page._space_code import SpaceCode
-from needleplan.page._space_maps import SpaceMaps
-from needleplan.page._surface import surface
+from needleplan.page._requests import Request, pack, page_html
+from needleplan.page._space_maps import SpaceCode, SpaceMaps, surface
 from needleplan.planning import SpacePose, SpaceTable, Uncertainty, entries_vtp, markups_text, success_bytes
 
 if TYPE_CHECKING:

@@ -15,8 +15,7 @@ from needleplan.devices._links import Link
 from needleplan.devices._opening import Address, open_link, require_called_heartbeat
 from needleplan.devices.robot._codes import REASONS_OF_RESULTS
 from needleplan.devices.robot._way import RobotWay, open_way, robot_address
-from needleplan.devices.robot._wire import RobotWire
-from needleplan.devices.robot.conversation import RobotClock, RobotConversation, StatusCounts
+from needleplan.devices.robot.conversation import RobotClock, RobotConversation, RobotWire, StatusCounts
 from needleplan.devices.robot.messages import (
     NAMES_OF_FAULTS,
     VERSION,
