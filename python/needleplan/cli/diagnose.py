@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 from needleplan.artifacts import CallRepr, FileKind, file_format
 from needleplan.cli.answer import note, print_first, print_json, working
 from needleplan.cli.data_options import add_data, data_files, naming, read_data, read_files, wrong_for_plans
-from needleplan.cli.options import add_answer, add_output, require_free
+from needleplan.cli.options import add_answer, add_output, require_free, require_rules
 from needleplan.cli.parser import whole
 from needleplan.errors import InputError, Mistake
 
@@ -54,7 +53,7 @@ def read_insertions(options: argparse.Namespace) -> DiagnosedInsertions:
 
     rule = "must be a recording (.mcap) of `insert`, of `simulate` for --noise: the model is an anatomy"
     files = data_files(options)
-    mistakes = wrong_for_plans(options, "the model is an anatomy", ("holdout", "noise", "reference", "rate"))
+    mistakes = wrong_for_plans(options, "the model is an anatomy", ("--holdout", "--noise", "--reference", "--rate"))
     mistakes += [Mistake("DATA", file, rule) for file in files if not file.lower().endswith(_RECORDING)]
     mistakes += [Mistake("DATA", file, "is given twice") for file in {*files} if files.count(file) > 1]
     if mistakes:
@@ -132,6 +131,7 @@ def add_to(commands: Any) -> None:
 def run(options: argparse.Namespace) -> int:
     """Run the command and return the exit code: 0 if no effect is missing or it was named, else 1."""
     from needleplan.artifacts import require_different, require_folder
+    from needleplan.config import Integer
     from needleplan.diagnosis import Verdict
     from needleplan.diagnosis.data import check_data
     from needleplan.models import ModelFile
@@ -149,8 +149,7 @@ def run(options: argparse.Namespace) -> int:
     from needleplan.reports.diagnosis.corrected_plan import corrected_plan_lines, write_scenario
     from needleplan.reports.diagnosis.diagnosed_anatomy import corrected_anatomy_lines, write_anatomy
 
-    if not 1 <= options.trials <= MOST_TRIALS:
-        raise InputError(Mistake("--trials", str(options.trials), f"must be 1 to {MOST_TRIALS}"))
+    require_rules(options, {"--trials": Integer(1, MOST_TRIALS)})
     for file in options.effects:
         register_file(file)
     kind = file_format(options.model).kind
@@ -240,13 +239,13 @@ def _scenario(options: argparse.Namespace) -> Scenario | None:
 
     Raises InputError if the speed is not positive and finite, the model does not describe a path, or a file is wrong.
     """
+    from needleplan.config import Number
     from needleplan.models import ModelFile
     from needleplan.reports.diagnosis.corrected_plan import require_path
     from needleplan.scenario import Scenario
 
     if not options.scenario:
         return None
-    if not 0 < options.speed < math.inf:
-        raise InputError(Mistake("--speed", f"{options.speed:g}", "must be a number above 0"))
+    require_rules(options, {"--speed": Number("mm/s", above=0)})
     require_path(ModelFile.read(options.model).model.channel)
     return Scenario.read(options.scenario)

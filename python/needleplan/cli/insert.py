@@ -25,6 +25,7 @@ from needleplan.cli.options import (
     options_named,
     require_inputs_kept,
     require_outputs,
+    require_rules,
     safety_limits,
 )
 from needleplan.cli.parser import Parser
@@ -341,22 +342,14 @@ def _require_numbers(options: argparse.Namespace, limits: SafetyLimits) -> None:
 
     Without this check, the guard or the loop would refuse them only after the devices are opened.
     """
-    mistakes = []
-    for name, most, unit in (
-        ("speed", limits.insertion_velocity_mm_s, "mm/s"),
-        ("rotation_speed_deg", math.degrees(limits.rotation_velocity_rad_s), "degrees/s"),
-    ):
-        value, option = getattr(options, name), f"--{name.replace('_', '-')}"
-        if not 0 < value < math.inf:
-            mistakes.append(Mistake(option, f"{value:g}", f"must be a number of {unit} above 0"))
-        elif value > most:
-            mistakes.append(Mistake(option, f"{value:g}", f"must be at most the limit of the run, {most:g} {unit}"))
-    if not limits.shallowest_mm <= options.entry_depth < limits.deepest_mm:
-        rule = f"must be within the limits of the run, from {limits.shallowest_mm:g} to {limits.deepest_mm:g} mm"
-        mistakes.append(Mistake("--entry-depth", f"{options.entry_depth:g}", rule))
-    if not math.isfinite(options.roll_left_deg):
-        mistakes.append(Mistake("--roll-left-deg", f"{options.roll_left_deg:g}", "must be a number of degrees"))
-    if options.needle_length is not None and not 0 < options.needle_length < math.inf:
-        mistakes.append(Mistake("--needle-length", f"{options.needle_length:g}", "must be a number of mm above 0"))
-    if mistakes:
-        raise InputError(mistakes)
+    from needleplan.config import Number
+
+    fastest_deg_s = math.degrees(limits.rotation_velocity_rad_s)
+    deepest_mm = math.nextafter(limits.deepest_mm, -math.inf)
+    require_rules(options, {
+        "--speed": Number("mm/s, within the limits of the run,", above=0, at_most=limits.insertion_velocity_mm_s),
+        "--rotation-speed-deg": Number("degrees/s, within the limits of the run,", above=0, at_most=fastest_deg_s),
+        "--entry-depth": Number("mm, within the limits of the run,", at_least=limits.shallowest_mm, at_most=deepest_mm),
+        "--roll-left-deg": Number("degrees"),
+        "--needle-length": Number("mm", above=0),
+    })  # fmt: skip

@@ -11,7 +11,7 @@ from dataclasses import asdict, replace
 from typing import TYPE_CHECKING, Any
 
 from needleplan.cli.answer import complain, note, one_line, percent, print_json, print_summary, working
-from needleplan.cli.options import require_inputs_kept, require_outputs, sign_key
+from needleplan.cli.options import require_absent, require_inputs_kept, require_outputs, sign_key
 from needleplan.cli.uncertainty import promise_lines, promise_record, promised, read_registered, read_uncertainty
 from needleplan.errors import InputError, Mistake, ScenarioError
 
@@ -68,22 +68,13 @@ def breath_lines(breaths: Sequence[ResidualSuccess], whose: str = "") -> Iterato
 
 # Upper end of the 95 % interval of the best entry by the table below which others are tried, too.
 _DOUBTFUL = 0.01
-# Options of `plan` that hold in the plane only, with their defaults.
-_PLANE_ONLY: dict[str, object] = {
-    "--needle": None,
-    "--tissue": [],
-    "--accept-units": False,
-    "--push": None,
-    "--edge": None,
-}
+# Options of `plan` that hold in the plane only.
+_PLANE_ONLY = ("--needle", "--tissue", "--accept-units", "--push", "--edge")
 
 
 def run_plan_space(options: argparse.Namespace) -> int:
     """Solve the anatomy, write the table, and return the exit code: 1 if no entry reaches the target, else 0."""
-    for name, default in _PLANE_ONLY.items():
-        value = getattr(options, name.removeprefix("--").replace("-", "_"))
-        if value != default:
-            raise InputError(Mistake(name, str(value), "holds for a scenario in the plane, and this is an anatomy"))
+    require_absent(options, _PLANE_ONLY, "holds for a scenario in the plane, and this is an anatomy")
     from needleplan.anatomy import Anatomy
     from needleplan.planning import entry_map, impossible_message, plan_space, unreached
 

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from needleplan.cli.answer import complain, note, print_json, print_summary, working
-from needleplan.cli.options import add_answer, add_output, numbers, require_outputs
+from needleplan.cli.options import add_answer, add_output, numbers, require_outputs, require_rules
 from needleplan.errors import InputError, Mistake
 
 if TYPE_CHECKING:
@@ -39,13 +39,13 @@ def pose_noise(options: argparse.Namespace) -> PoseNoise | None:
 
     Raises InputError for a noise that is not positive, a blank `--accept`, and files that do not show the noise.
     """
+    from needleplan.config import Number
     from needleplan.estimation.registration import PoseNoise, noise_at_rest, read_poses
 
     if options.accept is not None and not options.accept.strip():
         raise InputError(Mistake("--accept", "", "must be a reason, as a text"))
     if options.noise_mm is not None:
-        if not 0 < options.noise_mm < math.inf:
-            raise InputError(Mistake("--noise-mm", f"{options.noise_mm:g}", "must be a positive number"))
+        require_rules(options, {"--noise-mm": Number("mm", above=0)})
         return PoseNoise(options.noise_mm)
     return noise_at_rest(read_poses(options.rest, options.columns), options.rest) if options.rest else None
 

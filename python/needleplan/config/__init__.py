@@ -18,6 +18,7 @@ The package does not depend on scenarios, models or devices.
 """
 
 from needleplan.config._rules import (
+    SEED,
     Choice,
     Flag,
     Integer,
@@ -45,6 +46,7 @@ from needleplan.config._table import (
     Subtable,
     TableList,
     build,
+    mistakes_of,
     ruled,
     under,
 )
@@ -61,6 +63,7 @@ from needleplan.config._toml import (
 
 __all__ = [
     "REQUIRED",
+    "SEED",
     "Choice",
     "Commented",
     "ConfigTable",
@@ -82,6 +85,7 @@ __all__ = [
     "Violation",
     "build",
     "closest",
+    "mistakes_of",
     "parse_toml",
     "plain",
     "raw_of",

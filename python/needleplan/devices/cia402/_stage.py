@@ -11,9 +11,10 @@ import queue
 import threading
 from dataclasses import replace
 
+from needleplan.config import Integer, Number
 from needleplan.devices._base import Stage, StageSample
 from needleplan.devices._clock import Clock, Deadline, SystemClock
-from needleplan.devices._opening import Address, require_called_heartbeat
+from needleplan.devices._opening import Address
 from needleplan.devices.cia402._axes import Cia402Axis, DriveTiming, Rounds
 from needleplan.devices.cia402._drive import CanBus, Cia402Drive, Frame
 from needleplan.devices.cia402.objects import Cia402Entry, Service, decode_emergency
@@ -75,18 +76,13 @@ class CanopenStage(Stage):
         parsed = Address.parse(address)
         if parsed.scheme != "canopen" or not parsed.host or parsed.port is not None or parsed.path not in ("", "/"):
             raise AddressError(Mistake("address", address, "must name a bus, as in canopen://can0?setup=drives.toml"))
-        parsed.only(("setup", "interface", "bitrate", "node", "watchdog_s", "alive"))
-        require_called_heartbeat(parsed)
+        parsed.only(("setup", "interface", "bitrate", "node", "watchdog_s"))
         if "setup" not in parsed.options:
             raise AddressError(Mistake("setup", "", "is missing: a TOML file with [insertion] and [roll]"), address)
-        node = parsed.option("node", int, 127)
-        if not 1 <= node <= 127:
-            raise AddressError(Mistake("node", str(node), "must be from 1 to 127"), address)
-        bitrate = parsed.option("bitrate", int, 0)
+        node = parsed.option("node", Integer(1, 127), 127)
+        bitrate = parsed.option("bitrate", Integer(0, 1_000_000), 0)
         usual = DriveTiming() if timing is None else timing
-        watchdog_s = parsed.option("watchdog_s", float, usual.watchdog_s)
-        if not 0.02 <= watchdog_s <= 60:
-            raise AddressError(Mistake("watchdog_s", f"{watchdog_s:g}", "must be from 0.02 to 60 s"), address)
+        watchdog_s = parsed.option("watchdog_s", Number("s", at_least=0.02, at_most=60), usual.watchdog_s)
         setup = DrivesSetup.read(parsed.options["setup"])
         if node in (setup.insertion.node, setup.roll.node):
             raise AddressError(Mistake("node", str(node), "must differ from the node numbers of the drives"), address)

@@ -9,10 +9,11 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from needleplan.config import Number
 from needleplan.devices._base import Health, Stage, StageSample, Stamp
 from needleplan.devices._clock import Clock, Deadline, SystemClock
 from needleplan.devices._links import Link
-from needleplan.devices._opening import Address, open_link, require_called_heartbeat
+from needleplan.devices._opening import Address, open_link
 from needleplan.devices.robot._codes import REASONS_OF_RESULTS
 from needleplan.devices.robot._way import RobotWay, open_way, robot_address
 from needleplan.devices.robot.conversation import RobotClock, RobotConversation, RobotWire, StatusCounts
@@ -40,6 +41,8 @@ _REFUSED_MOTION = frozenset({
 })  # fmt: skip
 # Results of a HELLO that asks for wider limits than those of the robot
 _TOO_WIDE = (Result.DEPTH_BEYOND, Result.SPEED_BEYOND, Result.ROLL_BEYOND, Result.ROTATION_BEYOND)
+# Rule for `silence_s` and `valid_s` in an address
+_TIMES = Number("s", at_least=0.001, at_most=60)
 
 
 @dataclass(frozen=True)
@@ -125,16 +128,12 @@ class RobotStage(Stage):
         Raises AddressError if the address or the key is wrong, DeviceFault if the robot does not answer, has another
         controller, does not accept the limits, or is in a fault that stays.
         """
-        options = ("watchdog_s", "valid_s", "alive", "key_file")
+        options = ("watchdog_s", "valid_s", "key_file")
         is_line = Address.parse(address).scheme == "serial"
         parsed = robot_address(address, options if is_line else (*options, "local_port"))
-        require_called_heartbeat(parsed)
         usual = RobotTiming() if timing is None else timing
-        silence_s = parsed.option("watchdog_s", float, usual.silence_s)
-        valid_s = parsed.option("valid_s", float, usual.valid_s)
-        for name, value in (("watchdog_s", silence_s), ("valid_s", valid_s)):
-            if not 0.001 <= value <= 60:
-                raise AddressError(Mistake(name, f"{value:g}", "must be from 0.001 to 60 s"), address)
+        silence_s = parsed.option("watchdog_s", _TIMES, usual.silence_s)
+        valid_s = parsed.option("valid_s", _TIMES, usual.valid_s)
         key = read_key(parsed.options["key_file"]) if "key_file" in parsed.options else None
         local = {name: value for name, value in parsed.options.items() if name == "local_port"}
         asked = replace(usual, silence_s=silence_s, valid_s=valid_s)

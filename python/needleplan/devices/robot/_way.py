@@ -16,7 +16,7 @@ from needleplan.bystander import WITHIN_S, StopOutcome, stop
 from needleplan.devices._base import Closing
 from needleplan.devices._clock import Deadline, SystemClock
 from needleplan.devices._links import SerialLink
-from needleplan.devices._opening import Address
+from needleplan.devices._opening import BAUDS, Address
 from needleplan.devices.robot.messages import ROBOT_PORT
 from needleplan.errors import AddressError, DeviceFault, Mistake
 from needleplan.line_owner import line_place, line_port
@@ -107,7 +107,7 @@ def open_way(address: str, known: Collection[str] | None = None, *, shared: bool
         return RobotWay(parsed, *parsed.network(ROBOT_PORT))
     if shared and (port := line_port(parsed.path)) is not None:
         return RobotWay(parsed, _LOCALHOST, port)
-    baud = parsed.option("baud", int, LINE_BAUD)
+    baud = parsed.option("baud", BAUDS, LINE_BAUD)
     lock = _locked(parsed.path)
     try:
         line = _ppvi.RobotLine(SerialLink(parsed.path, baud).hand_over(), baud)

@@ -48,7 +48,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from needleplan.artifacts import CallRepr
+from needleplan.config import ConfigTable, Number, ruled
 from needleplan.errors import Mistake, ModelError
 from needleplan.signals import Array
 
@@ -64,7 +64,7 @@ def dragged(tip_rad: float, base_rad: float, lag_rad: float) -> float:
 
 
 @dataclass(frozen=True)
-class Torsion(CallRepr):
+class Torsion(ConfigTable, error=ModelError):
     """Torsional lag between base and tip.
 
     The constructor raises ModelError unless the stiffness is positive and the torque is not negative.
@@ -84,17 +84,8 @@ class Torsion(CallRepr):
     0.015625
     """
 
-    stiffness_n_mm2: float
-    torque_per_length_n: float
-
-    def __post_init__(self) -> None:
-        mistakes = []
-        if not 0 < self.stiffness_n_mm2 < np.inf:
-            mistakes.append(Mistake("stiffness_n_mm2", f"{self.stiffness_n_mm2:g}", "must be a number above 0"))
-        if not 0 <= self.torque_per_length_n < np.inf:
-            mistakes.append(Mistake("torque_per_length_n", f"{self.torque_per_length_n:g}", "must be at least 0"))
-        if mistakes:
-            raise ModelError(mistakes, "Torsion")
+    stiffness_n_mm2: float = ruled(Number("N mm2", above=0))
+    torque_per_length_n: float = ruled(Number("N", at_least=0))
 
     def lag_rad(self, outside_mm: float, inserted_mm: float) -> float:
         """Return the angle by which the tip lags behind the rotating base.
