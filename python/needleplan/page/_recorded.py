@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from needleplan.recording import Recording
-    from needleplan.scenario import Scenario
 
 __all__ = [
     "force_along",
