@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import argparse
 import json
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -210,16 +211,22 @@ def run(options: argparse.Namespace) -> int:
                 note(remark)
         if scenario or is_anatomy:
             print("\n".join(plan_lines))
-    for each in written:
-        note(f"wrote {each}")
-    removed = [each for each in old if each not in written and not Path(each).exists()]
-    for each in old:
-        if each not in written:
-            note(f"{'removed' if each in removed else 'kept'} {each}: it belongs to an earlier diagnosis")
+    removed = _removed(written, old)
     if options.json:
         document = json.loads(Path(written[0]).read_text(encoding="utf-8"))
         print_json(document | {"written": list(written), "removed": removed})
     return 0 if found.verdict in (Verdict.NONE, Verdict.CHANGED, Verdict.NAMED) else 1
+
+
+def _removed(written: Sequence[str], old: Sequence[str]) -> list[str]:
+    """Print what became of the files of this and of an earlier diagnosis, and return the removed ones."""
+    for file in written:
+        note(f"wrote {file}")
+    left = [file for file in old if file not in written]
+    removed = [file for file in left if not Path(file).exists()]
+    for file in left:
+        note(f"{'removed' if file in removed else 'kept'} {file}: it belongs to an earlier diagnosis")
+    return removed
 
 
 def _identified(options: argparse.Namespace, file: ModelFile, records: list[Record]) -> list[Record]:
