@@ -45,7 +45,6 @@ class GuideFriction(PathTerm):
     The normal force in the guide is constant, so the friction is `size` at every depth, and also outside of the tissue.
     """
 
-    name: ClassVar[str] = "guide_friction"
     size: float = parameter("N", 0, 20, "friction in the guide", typical=0.05)
 
     def shape(self, state: Array, motion: Motion, plain: Array) -> Array:  # noqa: ARG002
@@ -60,7 +59,6 @@ class FrictionByDirection(PathTerm):
     The amplitude is a share of the friction of the base model, which holds for insertion.
     """
 
-    name: ClassVar[str] = "friction_by_direction"
     size: float = parameter("", -1, 5, "change of the friction in retraction, as a share", typical=0.1)
     friction: float = constant("N/mm", 0, 10, "friction per inserted length of the model", default=1.0)
 
@@ -73,7 +71,6 @@ class FrictionByDirection(PathTerm):
 class EntrySpring(Memoryless):
     """A spring at the entry, such as a dented skin or a sleeve, that is loaded up to a depth."""
 
-    name: ClassVar[str] = "entry_spring"
     size: float = parameter("N/mm", 0, 1, "stiffness of the spring", typical=1e-3)
     depth_mm: float = parameter("mm", 0.5, 500, "depth up to which the spring is loaded", typical=1.0)
 
@@ -90,7 +87,6 @@ class TrackAgeing(PathTerm):
     is the present insertion, so n - 1 insertions were earlier.
     """
 
-    name: ClassVar[str] = "track_ageing"
     order: ClassVar[int] = 2 + _CELLS
     size: float = parameter("", 0, 1, "share of the friction that many insertions take away", typical=0.2)
     insertions: float = parameter("", 0.1, 50, "number of earlier insertions over which the friction falls")
