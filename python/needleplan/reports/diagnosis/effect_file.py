@@ -47,12 +47,11 @@ EFFECT.
 """
 
 from dataclasses import dataclass
-from typing import ClassVar
 
 import numpy as np
 from numpy import abs, cos, exp, interp, pi, sin  # noqa: A004, F401
 
-from needleplan.models.effects import Enters, Family, Term, TermEffect
+from needleplan.models.effects import Enters, Family, Memoryless, TermEffect
 from needleplan.models import parameter
 
 
@@ -67,24 +66,10 @@ def drawn(depth_mm, velocity_mm_s, sign, time_s, force_n, dwell_s, position_mm, 
 
 
 @dataclass(frozen=True, kw_only=True)
-class Draft(Term):
+class Draft(Memoryless):
     """The draft: an effect without internal state."""
 
-    name: ClassVar[str] = {name}
-    order: ClassVar[int] = 0
     size: float = parameter("N", -20, 20, "RMS of the missing force", typical={typical!r})
-
-    def initial(self, motion):
-        """Return the initial internal state: empty."""
-        return np.zeros(0)
-
-    def rate(self, state, motion):
-        """Return the rate of the internal state: empty."""
-        return state
-
-    def states(self, motion, start):
-        """Return the internal states along the motion: shape (0, samples)."""
-        return np.zeros((0, len(motion)))
 
     def shape(self, state, motion, plain):
         """Return the added force (N) at size 1, shape (samples,)."""
