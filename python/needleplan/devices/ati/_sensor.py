@@ -130,11 +130,8 @@ class NetFt(ForceSensor):
 
         self._poll: Poll | None = None
         self._configuration: Configuration
-        try:
+        with self.closed_if_failing():
             self.start()
-        except BaseException:
-            self.close()
-            raise
 
     @classmethod
     def open(cls, address: str, *, limits: ForceLimits | None = None) -> NetFt:
@@ -229,8 +226,7 @@ class NetFt(ForceSensor):
         Raises DeviceFault if the sensor cannot be used, and then at every call until `start`. Raises LinkClosed if the
         link is closed.
         """
-        if self._closed:
-            raise LinkClosed("the force sensor is closed")
+        self._require_open()
         if self._fault is not None:
             raise self._fault
         deadline = Deadline(self._clock, timeout_s)

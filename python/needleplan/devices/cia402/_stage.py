@@ -19,7 +19,7 @@ from needleplan.devices.cia402._axes import Cia402Axis, DriveTiming, Rounds
 from needleplan.devices.cia402._drive import CanBus, Cia402Drive, Frame
 from needleplan.devices.cia402.objects import Cia402Entry, Service, decode_emergency
 from needleplan.devices.cia402.setup import DrivesSetup
-from needleplan.errors import AddressError, DeviceFault, LinkClosed, Mistake
+from needleplan.errors import AddressError, DeviceFault, Mistake
 
 __all__ = ["CanopenStage"]
 
@@ -47,16 +47,13 @@ class CanopenStage(Stage):
         self._beat_ns = 0
         self._drives: list[Cia402Drive] = []
         self._axes: list[Cia402Axis] = []
-        try:
+        with self.closed_if_failing():
             for axis in (setup.insertion, setup.roll):
                 drive = Cia402Drive(bus, axis, self.timing.answer_s, self.timing.change_s, self._beat)
                 self._drives.append(drive)
                 self._axes.append(Cia402Axis(axis, drive.name, self.timing.slack_s))
             self._rounds = Rounds(bus, self._axes, self.timing)
             self.start()
-        except BaseException:
-            self.close()
-            raise
 
     @classmethod
     def open(cls, address: str, *, timing: DriveTiming | None = None, clock: Clock | None = None) -> CanopenStage:
@@ -130,8 +127,7 @@ class CanopenStage(Stage):
         Raises DeviceFault if a drive does not acknowledge the stop, LinkClosed after `close`. A drive that receives no
         heartbeats stops by itself.
         """
-        if self._closed:
-            raise LinkClosed("the stage is closed")
+        self._require_open()
         try:
             # Marked before the drives report the effects of the stop, so that a reading thread expects them.
             for axis in self._axes:
@@ -149,8 +145,7 @@ class CanopenStage(Stage):
 
     def send_stop(self) -> None:
         """Let another thread send a quick stop to both drives, because the caller may hold the lock of the bus."""
-        if self._closed:
-            raise LinkClosed("the stage is closed")
+        self._require_open()
         threading.Thread(target=self._quick_stop, name="stop", daemon=True).start()
 
     def _quick_stop(self) -> None:
@@ -163,8 +158,7 @@ class CanopenStage(Stage):
 
     def measure(self, timeout_s: float) -> StageSample | None:
         """Return the next sample, also after a fault, or None after `timeout_s`. Raises DeviceFault."""
-        if self._closed:
-            raise LinkClosed("the stage is closed")
+        self._require_open()
         return self._read(timeout_s)
 
     def heartbeat(self) -> None:
@@ -172,8 +166,7 @@ class CanopenStage(Stage):
 
         Raises DeviceFault if the heartbeat cannot be sent, LinkClosed after `close`.
         """
-        if self._closed:
-            raise LinkClosed("the stage is closed")
+        self._require_open()
         try:
             self._beat()
         except DeviceFault as fault:
@@ -304,8 +297,7 @@ class CanopenStage(Stage):
         return axis.take_status(frame.data, earliest_ns, frame.received_ns)
 
     def _require_no_fault(self) -> None:
-        if self._closed:
-            raise LinkClosed("the stage is closed")
+        self._require_open()
         if self._fault is not None:
             raise self._fault
 

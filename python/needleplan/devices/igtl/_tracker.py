@@ -26,7 +26,7 @@ from needleplan.devices.igtl.poses import (
     decode_tdata,
     decode_transform,
 )
-from needleplan.errors import AddressError, ConfigurationError, DeviceFault, LinkClosed, Mistake, ProtocolError
+from needleplan.errors import AddressError, ConfigurationError, DeviceFault, Mistake, ProtocolError
 
 __all__ = ["IGTL_PORT", "IgtlCounts", "IgtlTracker", "PoseKind", "named_address", "names_of", "open_named"]
 
@@ -94,13 +94,10 @@ class IgtlTracker(Tracker):
         self.limits: IgtlPoseLimits = IgtlPoseLimits() if limits is None else limits
         self.counts: IgtlCounts = IgtlCounts()
         self._closed = False
-        try:
+        with self.closed_if_failing():
             if ask and not kind.holds_tools:
                 raise ConfigurationError(Mistake("ask", "yes", "only TDATA and QTDATA can be requested"))
             self.start()
-        except BaseException:
-            self.close()
-            raise
 
     @classmethod
     def open(cls, address: str, *, limits: IgtlPoseLimits | None = None) -> IgtlTracker:
@@ -168,8 +165,7 @@ class IgtlTracker(Tracker):
         Raises DeviceFault if no new pose arrives for `limits.silence_s`, the server cannot be used any more, or the
         connection is lost, and then at every call until `start`. Raises LinkClosed after `close`.
         """
-        if self._closed:
-            raise LinkClosed("the tracker is closed")
+        self._require_open()
         if self._fault is not None:
             raise self._fault
         sample, self._first = self._first, None

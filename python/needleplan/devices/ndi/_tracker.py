@@ -180,11 +180,8 @@ class NdiTracker(Tracker):
         self._wanted, self._speed = tool, speed
         self._name, self._mode = "TX" if text else "BX", "0801" if beyond else "0001"
         self._closed = self._tracking = self._speed_changed = False
-        try:
+        with self.closed_if_failing():
             self.start()
-        except BaseException:
-            self.close()
-            raise
 
     @classmethod
     def open(cls, address: str, *, limits: NdiPoseLimits | None = None) -> NdiTracker:
@@ -250,8 +247,7 @@ class NdiTracker(Tracker):
         Raises DeviceFault if the tracker cannot be used, and then at every call until `start`. Raises LinkClosed if the
         connection is closed.
         """
-        if self._closed:
-            raise LinkClosed("the tracker is closed")
+        self._require_open()
         if self._fault is not None:
             raise self._fault
         deadline = Deadline(self._clock, timeout_s)

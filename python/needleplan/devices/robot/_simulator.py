@@ -7,10 +7,10 @@ import select
 import threading
 import time
 from dataclasses import dataclass
-from types import TracebackType
 from typing import Self
 
 from needleplan.artifacts import CallRepr
+from needleplan.devices._base import Closing
 from needleplan.devices.robot._doors import PtyDoor, UdpDoor
 from needleplan.devices.robot._drives import RobotDrive, RobotDriveState
 from needleplan.devices.robot._machine import RobotMachine
@@ -123,7 +123,7 @@ class SteadyDrive(RobotDrive):
             self._goals[0] += math.copysign(way_mm, left_mm)
 
 
-class RobotServer:
+class RobotServer(Closing):
     """Serves a robot at a UDP socket of this machine, in real time; with `line`, at a pseudo-terminal instead.
 
     At a pseudo-terminal, the robot sends compact statuses. `run` serves in the calling thread until `stop` or `close`.
@@ -207,8 +207,3 @@ class RobotServer:
         self._thread = threading.Thread(target=self.run, daemon=True)
         self._thread.start()
         return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()

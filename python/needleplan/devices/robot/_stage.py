@@ -27,7 +27,7 @@ from needleplan.devices.robot.messages import (
     RobotStatus,
 )
 from needleplan.devices.supervision import StageSupervisor
-from needleplan.errors import AddressError, DeviceFault, LinkClosed, Mistake
+from needleplan.errors import AddressError, DeviceFault, Mistake
 
 __all__ = ["RobotStage", "RobotTiming", "read_key"]
 
@@ -85,6 +85,8 @@ class RobotStage(Stage):
     if the key is too short.
     """
 
+    noun = "robot"
+
     def __init__(
         self,
         link: Link,
@@ -112,11 +114,8 @@ class RobotStage(Stage):
         self.last_status: RobotStatus | None = None
         """The status that was read last, or None; also updated by the status that reports a fault."""
 
-        try:
+        with self.closed_if_failing():
             self.start()
-        except BaseException:
-            self.close()
-            raise
 
     @classmethod
     def open(cls, address: str, *, timing: RobotTiming | None = None, limits: MotionLimits | None = None) -> RobotStage:
@@ -138,11 +137,8 @@ class RobotStage(Stage):
         local = {name: value for name, value in parsed.options.items() if name == "local_port"}
         asked = replace(usual, silence_s=silence_s, valid_s=valid_s)
         way = open_way(address)
-        try:
+        with way.closed_if_failing():
             link = open_link(Address("udp", way.host, way.port, options=local))
-        except BaseException:
-            way.close()
-            raise
         return cls(link, timing=asked, limits=limits, key=key, way=way)
 
     @property
@@ -207,8 +203,7 @@ class RobotStage(Stage):
         Raises DeviceFault if the robot refuses or does not answer, LinkClosed after `close`. A robot that receives
         nothing stops by its watchdog.
         """
-        if self._closed:
-            raise LinkClosed("the robot is closed")
+        self._require_open()
         self._stops += 1
         self._goals = (0, {})
         result, _ = self._conversation.command(RobotKind.STOP, self.timing.answer_s, timely=False)
@@ -217,8 +212,7 @@ class RobotStage(Stage):
 
     def send_stop(self) -> None:
         """Send one STOP without waiting for its answer; no lock is taken. Raises LinkClosed after `close`."""
-        if self._closed:
-            raise LinkClosed("the robot is closed")
+        self._require_open()
         self._stops += 1
         self._goals = (0, {})
         self._conversation.send_stop()
@@ -237,8 +231,7 @@ class RobotStage(Stage):
         self._declare(RobotKind.UNHOME, 10 * self.timing.again_s, homed=False)
 
     def _declare(self, kind: RobotKind, within_s: float, *, homed: bool) -> None:
-        if self._closed:
-            raise LinkClosed("the robot is closed")
+        self._require_open()
         if self._conversation.version < VERSION:
             return  # the robot has no place for it
         end = Deadline(self._clock, within_s)
@@ -254,8 +247,7 @@ class RobotStage(Stage):
 
     def measure(self, timeout_s: float) -> StageSample | None:
         """Return the next sample, also while the robot is in FAULT, or None after `timeout_s`. Raises LinkClosed."""
-        if self._closed:
-            raise LinkClosed("the robot is closed")
+        self._require_open()
         deadline = Deadline(self._clock, timeout_s)
         while (sample := self._next(raises=False)) is None:
             if not self._conversation.pump(deadline.left_s) and deadline.passed:
@@ -264,8 +256,7 @@ class RobotStage(Stage):
 
     def heartbeat(self) -> None:
         """Send a heartbeat that is valid for `timing.silence_s`. Raises LinkClosed."""
-        if self._closed:
-            raise LinkClosed("the robot is closed")
+        self._require_open()
         self._conversation.heartbeat(self.timing.silence_s)
 
     def read(self, timeout_s: float) -> StageSample | None:
@@ -274,8 +265,7 @@ class RobotStage(Stage):
         Raises DeviceFault if the robot reports a fault or is silent, and then at every call until `start`. Raises
         LinkClosed after `close`.
         """
-        if self._closed:
-            raise LinkClosed("the robot is closed")
+        self._require_open()
         self._require_no_fault()
         deadline = Deadline(self._clock, timeout_s)
         while True:
@@ -299,8 +289,7 @@ class RobotStage(Stage):
             self._conversation.command(RobotKind.GOODBYE, 10 * self.timing.again_s, timely=False)
 
     def _move(self, kind: RobotKind, target: float, speed: float) -> None:
-        if self._closed:
-            raise LinkClosed("the robot is closed")
+        self._require_open()
         self._require_no_fault()
         if not (math.isfinite(target) and math.isfinite(speed) and speed > 0):
             raise DeviceFault(
