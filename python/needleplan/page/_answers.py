@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from needleplan.config import raw_of
-from needleplan.errors import InputError, Mistake, PoseError
+from needleplan.config import Integer, raw_of
+from needleplan.errors import Mistake, PoseError
 from needleplan.page._files import LANGUAGES, PageFiles
 from needleplan.page._queue import PlanQueue
 from needleplan.page._recorded import nearest_risk, recorded_plan, track_message
@@ -25,6 +25,7 @@ from needleplan.page._requests import (
     scenario_of,
     shares,
     start_of,
+    value_of,
 )
 from needleplan.planning import Outcome, Pose, resolution_of
 from needleplan.scenario import Scenario, shipped
@@ -214,9 +215,7 @@ class Page(InsertingPage):
         """Return the message on executions with tip noise: predicted and realised success, and some executions."""
         table = self.table_of(request)
         start, _ = start_of(request, table)
-        runs = request.get("runs", 2000)
-        if not isinstance(runs, int) or not 1 <= runs <= _MOST_RUNS:
-            raise InputError(Mistake("runs", f"{runs}", f"must be a whole number from 1 to {_MOST_RUNS:,}"))
+        runs = value_of(request, "runs", Integer(1, _MOST_RUNS), 2000)
         found = table.rollout(start, runs)
         header = {
             "plan": table.scenario.digest,

@@ -20,7 +20,7 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from needleplan.config import toml_text
+from needleplan.config import Rule, Violation, toml_text, under
 from needleplan.errors import InputError, Mistake, PoseError
 from needleplan.planning import Pose
 from needleplan.scenario import Scenario
@@ -41,11 +41,20 @@ __all__ = [
     "scenario_of",
     "shares",
     "start_of",
+    "value_of",
 ]
 
 
 # Arrays begin at multiples of this number of bytes, as typed arrays of JavaScript require.
 _ALIGNMENT = 8
+
+
+def value_of(request: Request, key: str, rule: Rule, default: object) -> Any:
+    """Return a value of a request, or `default` without it. Raises InputError if it does not obey the rule."""
+    try:
+        return rule.read(request.get(key, default))
+    except Violation as broken:
+        raise InputError(list(under(key, broken.mistakes))) from None
 
 
 def pack(header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> bytes:
