@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, is_dataclass
 from difflib import get_close_matches
 from enum import StrEnum
-from itertools import takewhile
+from itertools import pairwise, takewhile
 from typing import Any, Protocol
 
 from needleplan.errors import Mistake
@@ -19,6 +19,7 @@ __all__ = [
     "Integer",
     "Maybe",
     "Number",
+    "NumberList",
     "Numbers",
     "Pair",
     "Rule",
@@ -231,6 +232,26 @@ class Numbers:
             raise Violation(f"each of the {self.count} {broken}", value) from None
         if self.unit_length and abs(math.hypot(*numbers) - 1) > 1e-6:
             raise Violation("must be of length 1", value)
+        return numbers
+
+
+@dataclass(frozen=True)
+class NumberList:
+    """Rule for a list of `least` to `most` numbers, which increase if `increasing` says by which order."""
+
+    unit: str
+    least: int
+    most: int
+    increasing: str = ""
+
+    def read(self, value: object) -> tuple[float, ...]:
+        """Return the numbers as a tuple. Raises Violation."""
+        entries = sequence(value)
+        if entries is None or not self.least <= len(entries) <= self.most:
+            raise Violation(f"must be {self.least} to {self.most} numbers{self.unit and ' in ' + self.unit}", value)
+        numbers = tuple(Number(self.unit, at_least=-1000, at_most=1000).read(entry) for entry in entries)
+        if self.increasing and any(b <= a for a, b in pairwise(numbers)):
+            raise Violation(f"must increase: {self.increasing}", value)
         return numbers
 
 

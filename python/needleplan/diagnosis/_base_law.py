@@ -9,7 +9,7 @@ trials share. Mathematics: equations (1) and (2) of docs/explanation/posterior.m
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from enum import StrEnum
 from functools import cache, lru_cache
 
@@ -24,23 +24,23 @@ from needleplan.diagnosis._constants import (
     ENTRY_CORRELATION,
     ENTRY_LEAST,
     ENTRY_MODES,
+    NODES,
     RIM_LAW,
     RIMS_MM,
     SPEED_LAW,
-    SPEED_TRAVEL_MM,
 )
 from needleplan.diagnosis._settings import Settings
 from needleplan.diagnosis._tangents import is_added, output_beside, relative_step
 from needleplan.diagnosis.calibration import CalibratedTrial
 from needleplan.diagnosis.catalogue import FittedEffect
-from needleplan.models import recurrence, simulate
+from needleplan.models import simulate
 from needleplan.models.effects import Reach
-from needleplan.models.friction import ShaftAndTip
+from needleplan.models.friction import LawCurves, ShaftAndTip, mean_speed
 from needleplan.signals import Array, Motion
 
 __all__ = [
     "LAW_COUNTS", "Law", "base_forces", "base_laws", "decaying", "full_cutting", "law_columns",
-    "law_functions", "leading_modes",
+    "law_curves", "law_functions", "leading_modes",
 ]  # fmt: skip
 
 
@@ -143,19 +143,63 @@ def _along_depth(depth_mm: bytes, onset_mm: float) -> tuple[Array, Array]:
     return onsets, rims
 
 
+def law_curves(
+    model: ShaftAndTip, coefficients: Mapping[Law, Array], reach: Reach, largest_n: float, settings: Settings
+) -> LawCurves:
+    """Return the deviations of the laws of a base model, as curves of friction and cutting force.
+
+    Parameters
+    ----------
+    model
+        The base model.
+    coefficients
+        Coefficients of the functions of `law_functions`, by law; a law that is left out does not deviate.
+    reach, largest_n, settings
+        As in `base_laws`.
+
+    Returns
+    -------
+    LawCurves
+        The curves, which are added to those of the model.
+    """
+    own = {law: coefficients.get(law, np.zeros(count)) for law, count in LAW_COUNTS.items()}
+    deepest, law = max(reach.depth_mm[1], model.onset_mm), settings.base_law
+    depth = np.unique([*np.geomspace(ENTRY_LEAST * model.onset_mm, deepest, NODES), *np.linspace(0, deepest, NODES)])
+    onsets, rims = _along_depth(depth.tobytes(), model.onset_mm)
+    entry, speed = settings.entry_law * own[Law.ENTRY], np.geomspace(*reach.speed_mm_s, NODES)
+    of_friction, of_cutting = law * own[Law.SPEED].reshape(2, -1) @ _speed_cosines(speed, reach.speed_mm_s)
+    *by_force, direction, pulled = (law * own[Law.FORCE]).tolist()
+    force = np.linspace(-largest_n, largest_n, NODES)
+    along = law * own[Law.DEPTH] @ _cosines(depth / deepest, BASE_DEPTHS)
+    return LawCurves(
+        depth_mm=tuple(depth.tolist()),
+        friction_by_depth=tuple((along + entry[ENTRY_MODES:] @ rims).tolist()),
+        cutting_by_depth=tuple((entry[:ENTRY_MODES] @ onsets).tolist()),
+        speed_mm_s=tuple(speed.tolist()),
+        friction_by_speed=tuple(of_friction.tolist()),
+        cutting_by_speed=tuple(of_cutting.tolist()),
+        force_n=tuple(force.tolist()),
+        both_by_force=tuple((np.array(by_force) @ _cosines((force / largest_n + 1) / 2, BASE_FORCES)).tolist()),
+        friction_by_direction=direction,
+        cutting_pulled=pulled,
+    )
+
+
 @lru_cache(maxsize=32)
 def _along_speed(velocity_mm_s: bytes, depth_mm: bytes, reach_mm_s: tuple[float, float]) -> Array:
     """Return the cosines of the logarithm of the speed, times their standard deviations, shape (cosines, samples).
 
     The speed is averaged over the travel, within the range `reach_mm_s` of the trials.
     """
-    slow, fast = np.log(reach_mm_s)
-    speed = np.clip(np.abs(np.frombuffer(velocity_mm_s)), *reach_mm_s)
-    keep = np.exp(-np.abs(np.diff(np.frombuffer(depth_mm))) / SPEED_TRAVEL_MM)
-    mean = np.clip(recurrence(keep, (1 - keep) * speed[1:], float(speed[0])), *reach_mm_s)
-    cosines = SPEED_LAW * _cosines(np.clip((np.log(mean) - slow) / max(fast - slow, 1e-6), 0.0, 1.0), BASE_SPEEDS)
+    speed = mean_speed(np.frombuffer(velocity_mm_s), np.frombuffer(depth_mm), reach_mm_s)
+    cosines = _speed_cosines(speed, reach_mm_s)
     cosines.flags.writeable = False
     return cosines
+
+
+def _speed_cosines(speed_mm_s: Array, reach_mm_s: tuple[float, float]) -> Array:
+    slow, fast = np.log(reach_mm_s)
+    return SPEED_LAW * _cosines(np.clip((np.log(speed_mm_s) - slow) / max(fast - slow, 1e-6), 0.0, 1.0), BASE_SPEEDS)
 
 
 @cache

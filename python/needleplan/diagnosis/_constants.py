@@ -23,11 +23,11 @@ __all__ = [
     "LEAST_SHARE", "LED", "LIKELY", "LINEAR_STEP", "LOCAL_S",
     "LONGEST", "LONGEST_LAG_S", "LONGEST_STEP", "LOST", "MEMORY_LAW", "MORE_SEARCHES", "MOST_EFFECTS", "MOST_MODES",
     "MOST_NODES", "MOST_SAMPLES", "MOST_STEPS", "MOVED", "NEAR", "NEAR_S", "NEAR_TURN", "NEGLIGIBLE",
-    "NEGLIGIBLE_ERROR", "NEIGHBOURHOODS", "NODES_S", "NOISE_SDS", "NOT_VISITED", "OTHER_LENGTH", "OTHER_SCALE",
+    "NEGLIGIBLE_ERROR", "NEIGHBOURHOODS", "NODES", "NODES_S", "NOISE_SDS", "NOT_VISITED", "OTHER_LENGTH", "OTHER_SCALE",
     "OWN_LAW", "PARAMETER_FACTOR", "PARENTS", "PRIOR_SD", "RELATIVE_STEP", "REPETITIONS", "REST_SPEED_SHARE",
     "REVERSAL_CORRELATION", "REVERSAL_MODES", "REVERSAL_TRAVELS", "RIMS_MM", "RIM_LAW", "RINGING_HZ", "RINGING_S",
     "ROUGH_MM", "SCALE_ROUNDS", "SCATTER", "SCATTER_FREEDOM", "SHORTEST", "SIGNIFICANT", "SINGLES", "SINGLE_SAMPLE",
-    "SLOWEST_HZ", "SMOOTH_MM", "SPEED_LAW", "SPEED_TRAVEL_MM", "STARTS", "STEP_EVERY_S", "STRETCH", "STRONG",
+    "SLOWEST_HZ", "SMOOTH_MM", "SPEED_LAW", "STARTS", "STEP_EVERY_S", "STRETCH", "STRONG",
     "SURE_NATS", "TIP_LAG_S", "TIP_PRIORS", "TISSUE_GRID_MM", "TISSUE_VARIANCE", "TOLERANCE_SCALES",
     "TURN_FEWEST", "TURN_MOST", "TURN_REST", "TURN_TRAVEL", "UNKNOWN_NOISE", "UNUSUAL_LAG_FACTOR", "USUAL_SD",
     "VALID_RATIOS", "VISIBLE_MODE", "VISIBLE_SHARE", "WAVES_HZ", "WAVES_PER_MM", "WAVE_STEP", "Constant",
@@ -68,8 +68,8 @@ BASE_DEPTHS = _one("BASE_DEPTHS", 4, "cosines", "laws along the depth", "a choic
 BASE_FORCES = _one("BASE_FORCES", 3, "cosines", "laws along the force",
     "a bent scale, and friction that grows with the load")
 BASE_SPEEDS = _one("BASE_SPEEDS", 2, "cosines", "laws along the logarithm of the speed", "a choice")
-SPEED_TRAVEL_MM = _one("SPEED_TRAVEL_MM", 0.5, "mm", "travel over which the speed is averaged",
-    "at rest, friction keeps the value of the movement before")
+NODES = _one("NODES", 40, "nodes", "of a law that is merged into the base",
+    "lines depart by up to 5 % from the finest functions at the entry")
 DEVIATES_FROM = _one("DEVIATES_FROM", 0.3, "onset or presliding lengths", "place from which a law may deviate",
     "before, nothing has slid or been cut")
 DEVIATES_TO = _one("DEVIATES_TO", 3.0, "onset or presliding lengths",

@@ -10,8 +10,17 @@ from functools import cached_property
 import numpy as np
 
 from needleplan.artifacts import ShortRepr, digest
+from needleplan.diagnosis._base_law import LAW_COUNTS, law_curves
 from needleplan.diagnosis._blocks import TISSUE_KINDS
-from needleplan.diagnosis._budget import GapBudget, GapFinding, OtherLaw, OtherParameter, findings_of, gap_budget
+from needleplan.diagnosis._budget import (
+    FindingKind,
+    GapBudget,
+    GapFinding,
+    OtherLaw,
+    OtherParameter,
+    findings_of,
+    gap_budget,
+)
 from needleplan.diagnosis._contradiction import closed_share
 from needleplan.diagnosis._decision import DiagnosisDecision, Verdict
 from needleplan.diagnosis._gap import Curves, GapPart, curves_along, gap_parts
@@ -26,6 +35,7 @@ from needleplan.diagnosis.data import CheckedData, measured_output
 from needleplan.errors import Mistake, ModelError
 from needleplan.models import Channel, Estimate, Model, Scale, simulate
 from needleplan.models.effects import SIZE, with_effect
+from needleplan.models.friction import ShaftAndTip
 from needleplan.models.trials import mean_estimate
 from needleplan.signals import Record
 
@@ -146,15 +156,32 @@ class Diagnosis(ShortRepr):
         parents = "".join(
             sorted(recording.digest or digest(recording["time_s"].tobytes()) for recording in self.recordings)
         )
-        return digest(f"{self.given!r} {parents} {self.decision!r} {[each.added for each in self.likely]!r}")
+        curves = getattr(getattr(self.given, "base", self.given), "curves", None) or ""
+        return digest(f"{self.given!r}{curves!r} {parents} {self.decision!r} {[each.added for each in self.likely]!r}")
 
-    @property
+    @cached_property
     def base(self) -> Model:
-        """The given model with its mean calibrated parameters, fitted together with the most probable set."""
+        """The given model with its mean calibrated parameters, fitted together with the most probable set.
+
+        If the answer is CHANGED, the model has the laws that differ as curves, if it predicts the held-out trials
+        better with them.
+        """
         trials = self.named.trials[: len(self.calibration.training)]
         model = mean_model([unblended(trial.model) for trial in trials], self.calibration.free)
         given = [each.added for each in self._fitted if each.given]
-        return with_effect(model, given) if given else model
+        plain, changed = (with_effect(each, given) if given else each for each in (model, self._with_laws(model)))
+        return changed if changed != plain and self.held_out_rms(changed) < self.held_out_rms(plain) else plain
+
+    def _with_laws(self, model: Model) -> Model:
+        """Return a base model with the laws that differ as curves; the model itself if none differs."""
+        best, problem = self.named, self.named.problem
+        differ = {finding.name for finding in self.findings if finding.kind is FindingKind.LAW}
+        if self.verdict is not Verdict.CHANGED or not isinstance(model, ShaftAndTip) or not differ & {*LAW_COUNTS}:
+            return model
+        # The laws were estimated together.
+        coefficients = {law: best.linear.mean[best.best, best.groups[law]] for law in LAW_COUNTS}
+        curves = law_curves(model, coefficients, problem.reach, problem.largest_n, problem.settings)
+        return replace(model, curves=curves.after(model.curves))
 
     @property
     def model(self) -> Model:

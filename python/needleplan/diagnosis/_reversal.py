@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import cache
+from typing import Any
 
 import numpy as np
 
@@ -60,7 +61,8 @@ def blended(model: ShaftAndTip, coefficients: Array) -> BlendedReversal:
     """Return the model with the law of reversal that has these coefficients."""
     weights = tuple((_modes() @ coefficients[:REVERSAL_MODES]).tolist())
     closed = MEMORY_LAW * float(coefficients[REVERSAL_MODES])
-    return BlendedReversal(**model.values(), shares=tuple(_LENGTHS.tolist()), weights=weights, closed=closed)
+    values: dict[str, Any] = {**model.values(), "curves": model.curves, "weights": weights, "closed": closed}
+    return BlendedReversal(**values, shares=tuple(_LENGTHS.tolist()))
 
 
 def blended_by(model: Model) -> Array:
@@ -84,7 +86,8 @@ def reversal_laws(trial: CalibratedTrial, effects: Sequence[FittedEffect]) -> Ar
     shaft, tip = model.friction * depth, full_cutting(model, motion) / 2
     step = relative_step(model, PRESLIDING)
     longer = model.with_values(presliding_mm=model.presliding_mm * (1 + step))
-    if all(is_added(effect) for effect in effects):  # the force is linear in the bristle, which is linear in the modes
+    # Without curves the force is linear in the bristle, which is linear in the modes.
+    if model.curves is None and all(is_added(effect) for effect in effects):
         moved = simulate(longer, motion).states[0] - simulate(model, motion).states[0]
         same = blended(model, here)
         modes = _modes().T @ same.others(motion)

@@ -65,7 +65,7 @@ def in_trial(effects: Sequence[FittedEffect], trial: CalibratedTrial, number: in
 
 def unblended(model: Model) -> Model:
     """Return the model with Dahl's law of reversal."""
-    return ShaftAndTip(**model.values()) if isinstance(model, BlendedReversal) else model
+    return ShaftAndTip(**model.values(), curves=model.curves) if isinstance(model, BlendedReversal) else model
 
 
 def output_beside(model: Model, effects: Sequence[FittedEffect], motion: Motion) -> Array:

@@ -83,7 +83,7 @@ def identify(records: Sequence[Record], *, average: int = 1, starts: int = 2) ->
     fits = [fit(_start(record), record, smooth=sensor.apply, mask=mask, starts=starts, spread=0.7) for record in train]
     estimates = _means(fits)
     good = all(trial_fit.status is not FitStatus.DIVERGED for trial_fit in fits)
-    model = ShaftAndTip(**{name: estimate.value for name, estimate in estimates.items()})
+    model = ShaftAndTip(**{name: estimate.value for name, estimate in estimates.items()})  # type: ignore[arg-type]
     scores = [("RMSE of the fits", float(np.sqrt(np.mean([trial_fit.rmse**2 for trial_fit in fits]))), "N")]
     scores += [("MAE of the mean model", mean_absolute_error(model, train, smooth=sensor), "N")]
     if trials.holdout:

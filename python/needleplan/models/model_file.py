@@ -49,14 +49,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, get_type_hints
 
-from needleplan.artifacts import (
-    Parent,
-    ShortRepr,
-    digest,
-    relative_path,
-    version,
-    write_whole,
-)
+from needleplan.artifacts import Parent, ShortRepr, digest, relative_path, version, write_whole
 from needleplan.config import (
     Choice,
     ConfigTable,
@@ -87,12 +80,16 @@ from needleplan.models._kinds import kind_of
 from needleplan.models._parameter import Parameter
 from needleplan.models.deflection import FibreSensors
 from needleplan.models.effects import AddedEffect, AugmentedModel, Effect, effect_named
+from needleplan.models.friction import LawCurves
 
 __all__ = ["ModelFile"]
 
 # Rule for all texts, and the rules for options by type.
 _TEXT = Text(100_000)
-_OPTIONS: dict[type, Rule] = {bool: Flag(), int: Integer(-(2**63), 2**63 - 1), float: Number(), str: _TEXT}
+_OPTIONS: dict[Any, Rule] = {
+    bool: Flag(), int: Integer(-(2**63), 2**63 - 1), float: Number(), str: _TEXT,
+    LawCurves | None: Maybe(Subtable(LawCurves)),
+}  # fmt: skip
 
 _Entry = tuple[float, Estimate | None]
 
@@ -336,7 +333,7 @@ class ModelFile(ShortRepr):
             "made_by": self.made_by,
             "remarks": self.remarks,
             "parameters": _raw_parameters(kind.parameters(), model.values(), self.estimates),
-            "options": {name: getattr(model, name) for name in _options(kind)},
+            "options": _raw_options(model),
             "fibre": raw_of(self.fibre) if self.fibre else {},
             "parent": [_raw_parent(parent) for parent in self.parents],
             "effect": [_raw_effect(effect) for effect in effects],
@@ -358,8 +355,7 @@ _MAY_LACK = ("parameters", "options", "fibre", "parent", "effect")
 
 
 def _raw_parent(parent: Parent) -> dict[str, str]:
-    known = {"name": parent.name, "digest": parent.digest}
-    return {**known, "file": parent.file} if parent.file else known
+    return {"name": parent.name, "digest": parent.digest} | ({"file": parent.file} if parent.file else {})
 
 
 def _raw_effect(added: AddedEffect) -> dict[str, Any]:
@@ -391,6 +387,11 @@ def _split(parameters: Mapping[str, _Entry]) -> tuple[dict[str, float], dict[str
 
 def _options(kind: type[Model]) -> list[str]:
     return [entry.name for entry in fields(kind) if entry.name not in kind.parameters()]
+
+
+def _raw_options(model: Model) -> dict[str, Any]:
+    values = ((name, getattr(model, name)) for name in _options(type(model)))
+    return {name: raw_of(each) if isinstance(each, ConfigTable) else each for name, each in values if each is not None}
 
 
 def _required(kind: type[Model], names: Mapping[str, object]) -> dict[str, str]:

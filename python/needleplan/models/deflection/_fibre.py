@@ -14,14 +14,13 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from needleplan.artifacts import ShortRepr
-from needleplan.config import ConfigTable, Number, Violation, ruled, sequence
+from needleplan.config import ConfigTable, Number, NumberList, ruled
 from needleplan.errors import DataError, Mistake, ModelError
 from needleplan.signals import FIBRE_COLUMNS, Array, Record
 
@@ -32,26 +31,6 @@ _LARGEST_STRAIN = 0.01
 
 # Smallest share of the best conditioned cores that the remaining cores of a place must have to determine a curvature.
 _LEAST_CONDITION = 0.1
-
-
-@dataclass(frozen=True)
-class _NumberList:
-    """Rule for a list of `least` to `most` numbers, which increase if `increasing` says by which order."""
-
-    unit: str
-    least: int
-    most: int
-    increasing: str = ""
-
-    def read(self, value: object) -> tuple[float, ...]:
-        """Return the numbers as a tuple. Raises Violation."""
-        entries = sequence(value)
-        if entries is None or not self.least <= len(entries) <= self.most:
-            raise Violation(f"must be {self.least} to {self.most} numbers in {self.unit}", value)
-        numbers = tuple(float(Number(self.unit, at_least=-1000, at_most=1000).read(entry)) for entry in entries)
-        if self.increasing and (numbers[0] < 0 or any(b <= a for a, b in pairwise(numbers))):
-            raise Violation(f"must increase from 0 or more: {self.increasing}", value)
-        return numbers
 
 
 def _gauge_is_in_the_needle(from_tip_mm: tuple[float, ...], gauge_mm: float) -> Iterator[Mistake]:
@@ -99,14 +78,14 @@ class FibreSensors(ConfigTable, key="fibre", error=ModelError, between=(_gauge_i
     """
 
     from_tip_mm: tuple[float, ...] = ruled(
-        _NumberList("mm", 1, len(FIBRE_COLUMNS) // 2, "the distances from the tip, the nearest sensor first")
+        NumberList("mm", 1, len(FIBRE_COLUMNS) // 2, "the distances from the tip, the nearest sensor first")
     )
     """Distances of the sensors from the tip."""
 
     gauge_mm: float = ruled(Number("mm", above=0, at_most=20), 5.0)
     """Length of a grating, over which it averages the curvature."""
 
-    core_angles_rad: tuple[float, ...] = ruled(_NumberList("rad", 3, 16), (0.0, 2 * math.pi / 3, 4 * math.pi / 3))
+    core_angles_rad: tuple[float, ...] = ruled(NumberList("rad", 3, 16), (0.0, 2 * math.pi / 3, 4 * math.pi / 3))
     """Angles of the cores from the normal of the needle, toward its binormal."""
 
     core_radius_mm: float = ruled(Number("mm", above=0, at_most=5), 0.4)

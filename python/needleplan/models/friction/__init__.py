@@ -15,6 +15,7 @@ Units are mm, N and s. With Fn = 1 N the friction forces are some tenths of a ne
 
 from needleplan.models.friction._base import Friction, Profile, StribeckFriction, intensity, normal_length_mm
 from needleplan.models.friction._distributed import distributed
+from needleplan.models.friction._law_curves import LawCurves, mean_speed
 from needleplan.models.friction._lugre import AveragedLuGre, Beta, LuGre, LumpedLuGre, OutputForm, beta_per_mm
 from needleplan.models.friction._memoryless import (
     DirectionalKarnopp,
@@ -35,6 +36,7 @@ __all__ = [
     "ForceParts",
     "Friction",
     "Karnopp",
+    "LawCurves",
     "LuGre",
     "LumpedLuGre",
     "OutputForm",
@@ -48,6 +50,7 @@ __all__ = [
     "first_guess",
     "intensity",
     "into_fresh_tissue",
+    "mean_speed",
     "normal_length_mm",
     "slid",
     "slid_along",

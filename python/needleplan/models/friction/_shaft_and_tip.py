@@ -15,7 +15,7 @@ of shaft and tip. Further phenomena of tissue and sensor are effects (`needlepla
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import ClassVar
 
@@ -25,6 +25,7 @@ from scipy.special import gammaincinv
 from needleplan import _ppvi
 from needleplan.models._base import Channel, SelfIntegratingModel
 from needleplan.models._parameter import parameter
+from needleplan.models.friction._law_curves import LawCurves
 from needleplan.signals import Array, AveragedMotion, Motion
 
 __all__ = ["BlendedReversal", "ShaftAndTip", "slid", "slid_along"]
@@ -66,6 +67,13 @@ class ShaftAndTip(SelfIntegratingModel):
 
     The state is the bristle, from -1 to 1.
 
+    Parameters
+    ----------
+    friction, cutting, onset_mm, presliding_mm : float
+        Parameters of the equations at the head of the module, with the units of `parameters`.
+    curves : LawCurves, optional
+        Measured deviations of friction and cutting force from these laws.
+
     Examples
     --------
     >>> import needleplan as npl
@@ -83,6 +91,7 @@ class ShaftAndTip(SelfIntegratingModel):
     cutting: float = parameter("N", 1e-5, 100, "cutting force of the tip, deep in the tissue")
     onset_mm: float = parameter("mm", 1e-2, 50, "depth over which the cutting force rises")
     presliding_mm: float = parameter("mm", 1e-3, 20, "travel over which friction reverses")
+    curves: LawCurves | None = field(default=None, repr=False)
 
     def initial_state(self, motion: Motion) -> Array:  # noqa: ARG002
         """Return z = 0, the straight bristle, shape (1,)."""
@@ -112,7 +121,7 @@ class ShaftAndTip(SelfIntegratingModel):
         numpy.ndarray
             Force (N), shape (...).
         """
-        return np.asarray(self.friction * np.maximum(motion.depth_mm, 0.0) * state[0])
+        return self._forces_n(state, motion)[0] if self.curves else self._law_n(state, motion)
 
     def tip_n(self, state: Array, motion: Motion) -> Array:
         """Return the force of the tip.
@@ -129,13 +138,23 @@ class ShaftAndTip(SelfIntegratingModel):
         numpy.ndarray
             Force (N), shape (...).
         """
-        depth = np.asarray(motion.depth_mm, float)
-        grown = _grown(depth.tobytes(), self.onset_mm) if depth.ndim == 1 else _growing(depth, self.onset_mm)
-        return np.asarray(self.cutting * grown * (1 + state[0]) / 2)
+        return self._forces_n(state, motion)[1]
 
     def output(self, state: Array, motion: Motion) -> Array:
         """Return the axial force (N), shape (...)."""
-        return self.shaft_n(state, motion) + self.tip_n(state, motion)
+        shaft, tip = self._forces_n(state, motion)
+        return shaft + tip
+
+    def _law_n(self, state: Array, motion: Motion) -> Array:
+        return np.asarray(self.friction * np.maximum(motion.depth_mm, 0.0) * state[0])
+
+    def _forces_n(self, state: Array, motion: Motion) -> tuple[Array, Array]:
+        """Return friction and cutting force (N), shape (...) each, by the laws and their curves."""
+        depth = np.asarray(motion.depth_mm, float)
+        grown = _grown(depth.tobytes(), self.onset_mm) if depth.ndim == 1 else _growing(depth, self.onset_mm)
+        shaft, full = self._law_n(state, motion), self.cutting * grown
+        tip = np.asarray(full * (1 + state[0]) / 2)
+        return self.curves.changed(shaft, tip, full, motion) if self.curves else (shaft, tip)
 
 
 def _growing(depth_mm: Array, onset_mm: float) -> Array:
