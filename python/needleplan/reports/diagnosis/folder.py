@@ -143,7 +143,8 @@ def write_folder(
         if motion.text:
             written.append(place / motion.name)
             write_whole(written[-1], motion.text.encode())
-    if found.verdict in (Verdict.NAMED, Verdict.CHANGED) or (merge_anyway and found.likely):
+    changed = found.verdict is Verdict.CHANGED and not found.keeps_given
+    if found.verdict is Verdict.NAMED or changed or (merge_anyway and found.likely):
         model = found.merged(anyway=merge_anyway)
         digests = {
             each.trial: each.digest
