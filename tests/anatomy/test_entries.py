@@ -160,7 +160,7 @@ def test_without_the_libraries_the_extra_is_named(tmp_path: Path, monkeypatch: p
 
 @pytest.mark.parametrize("count", [0, -2])
 def test_a_list_has_an_entry(tmp_path: Path, count: int) -> None:
-    refused(needleplan("entry", write(tmp_path, box()), f"--top={count}"), f"--top = {count}: must be at least 1")
+    refused(needleplan("entry", write(tmp_path, box()), f"--top={count}"), f"--top = {count}: must be a whole number")
 
 
 @pytest.mark.parametrize(

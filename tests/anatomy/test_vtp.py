@@ -11,7 +11,7 @@ from vtkmodules.vtkIOXML import vtkXMLPolyDataReader
 
 from needleplan.anatomy import TARGET
 from needleplan.planning import EntryMap, Success, entries_vtp, rank_entries, vtp_bytes
-from needleplan.reports.space_insertion import insertion_vtp
+from needleplan.reports.insertion import insertion_vtp
 from tests.anatomy.volumes import anatomy, box, write
 from tests.cli.commands import needleplan
 from tests.control.space_scenes import box_table, inserted

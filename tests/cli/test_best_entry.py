@@ -13,7 +13,7 @@ from needleplan.anatomy import Anatomy, SpaceScenario
 from needleplan.cli.table_poses import poses_of
 from needleplan.page import SpacePage
 from needleplan.planning import EntryMap, draw_entries, entry_map, plan_space
-from needleplan.sweep._records import record_of
+from needleplan.sweep._work import record_of
 from tests.anatomy.test_vtp import polydata
 from tests.anatomy.volumes import NAMES, TEXT, anatomy, box, write
 from tests.cli.commands import needleplan

@@ -107,7 +107,7 @@ def test_a_file_of_references_has_no_other_role(folder: Path, capsys: pytest.Cap
 def test_the_number_of_trials_has_a_range(folder: Path, capsys: pytest.CaptureFixture[str], trials: str) -> None:
     arguments = ["diagnose", str(folder / "base.toml"), str(folder / "data.csv"), "-o", str(folder / "no")]
     assert main([*arguments, "--trials", trials]) == 2
-    assert f"--trials = {trials}: must be 1 to 10" in capsys.readouterr().err
+    assert f"--trials = {trials}: must be a whole number from 1 to 10" in capsys.readouterr().err
     assert not (folder / "no").exists()
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from needleplan.cli import main
-from needleplan.cli.insert_registration import read_judged
+from needleplan.cli.insert import read_judged
 from needleplan.errors import DataError
 from needleplan.estimation.registration import Registration, RegistrationVerdict, VerdictStatus, register
 from tests.control.scenes import small_table

@@ -223,10 +223,10 @@ def test_a_port_that_is_taken_is_one_clear_error(option: str, kind: socket.Socke
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("arguments", "words"),
-    [(("insertoin",), ("did you mean",)), (("--robot-port", "70000"), ("--robot-port = 70000", "from 1 to 65535")),
+    [(("insertoin",), ("did you mean",)), (("--robot-port", "70000"), ("--robot-port = 70000", "from 0 to 65535")),
      (("--start", "0,20,0"), ("needs --table",)), (("--table", "no.h5"), ("no.h5",)),
-     (("--tracker-port", "8765"), ("needs --tracker-line tcp",)), (("--duration", "nan"), ("positive number",)),
-     (("--longest-silence", "0"), ("from 0.005 to 60",)), (("--seed", "-1"), ("whole number",)),
+     (("--tracker-port", "8765"), ("needs --tracker-line tcp",)), (("--duration", "nan"), ("in s above 0",)),
+     (("--longest-silence", "0"), ("at least 0.005 and at most 60",)), (("--seed", "-1"), ("whole number",)),
      (("--host", "name.invalid"), ("name.invalid",)), (("--follow", ""), ("must begin with the kind of link",)),
      (("--follow", "udp://name.invalid"), ("host = name.invalid",)),
      (("--follow", "serial:///dev/nowhere"), ("--follow = serial:///dev/nowhere", "there is no such port")),

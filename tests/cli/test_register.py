@@ -180,7 +180,8 @@ def test_wrong_input_is_refused(tmp_path: Path) -> None:
     refused(needleplan("register", "--pivot", poses, "--points", points, "--target", "1"), "must be X,Y or X,Y,Z")
     refused(needleplan("register", "--pivot", poses, "--points", points, "-o", points), "would replace")
     refused(
-        needleplan("register", "--pivot", poses, "--points", points, "--noise-mm", "0"), "must be a positive number"
+        needleplan("register", "--pivot", poses, "--points", points, "--noise-mm", "0"),
+        "finite number in mm above 0",
     )
     refused(needleplan("register", "--pivot", poses, "--points", points, "--accept", " "), "must be a reason")
     refused(needleplan("register", "--pivot", poses, "--points", points, "--columns", "w=1"), 'did you mean "qw"')

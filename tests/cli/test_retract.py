@@ -182,8 +182,8 @@ def test_a_slow_retraction_is_no_shorter_than_it_must_be(robot: Inserted, insecu
     ("words", "message"),
     [
         (("--depth", "25"), "not_a_retraction"),
-        (("--depth", "-101"), "--depth = -101: must be within the limits"),
-        (("--speed", "21"), "--speed = 21: must be above 0 and at most the limit, 20 mm/s"),
+        (("--depth", "-101"), "--depth = -101.0: must be a finite number in mm, within the limits"),
+        (("--speed", "21"), "within the limits, above 0 and at most 20"),
         (("--speed", "nan"), "--speed = nan"),
         (("--wait", "-1"), "--wait = -1"),
         (("--hold-to-run", "voice"), "--hold-to-run = voice: must be key"),

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 import needleplan as npl
-from needleplan.cli.streams import AnswerStream, OutputFault, RemarkStream, one_line, printable
+from needleplan.cli.answer import AnswerStream, OutputFault, RemarkStream, one_line, printable
 from needleplan.recording import EVENT, Recorder, Session
 from tests.cli.commands import needleplan, program, refused
 from tests.conftest import SMALL

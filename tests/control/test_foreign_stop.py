@@ -31,12 +31,13 @@ from needleplan.devices import (
     Tracker,
     VirtualClock,
 )
-from needleplan.devices.robot import RobotNetwork, RobotServer, RobotStage
+from needleplan.devices.robot import RobotServer, RobotStage
 from needleplan.errors import MotionRefused
 from needleplan.estimation.registration import Registration
 from needleplan.stopping import Rest
 from tests.control.foreign_robot import Character, ForeignRobot
 from tests.control.scenes import small_table
+from tests.devices.robot.network import RobotNetwork
 
 ENTRY = (0.0, 20.0)
 SPEED_MM_S = 8.0

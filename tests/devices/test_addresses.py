@@ -23,7 +23,7 @@ WRONG = {
     "udp://127.0.0.1:1?local_port=3&local_port=4": "twice",
     "udp://127.0.0.1:1?local_port=many": "local_port = many",
     "udp://127.0.0.1:1?local_port=99999": "from 0 to 65535",
-    "tcp://127.0.0.1:1?timeout_s=nan": "must be positive",
+    "tcp://127.0.0.1:1?timeout_s=nan": "above 0 and at most 3,600",
     "tcp://me@127.0.0.1:1": "neither a user",
     "serial://dev/ttyUSB0": "three slashes",
     "serial:///": "three slashes",

@@ -63,6 +63,7 @@ def test_the_corrected_model_has_the_law_and_predicts_a_new_motion(tmp_path):
     assert after < before / 3
     assert after < 2 * NOISE_N
     ModelFile.of(corrected).write(tmp_path / "model.toml")
+    assert not found.keeps_given
     again = diagnose(tmp_path / "model.toml", records(), library=default_library(corrected))
     assert FindingKind.LAW not in {finding.kind for finding in again.findings}
     assert again.verdict in (Verdict.NONE, Verdict.UNDERPOWERED)

@@ -85,8 +85,8 @@ def test_a_gap_without_a_name_that_distorts_the_base_keeps_the_given_one() -> No
     given, base = (float(np.sqrt(np.mean(each**2))) for each in apart.values())
     assert (found.held_out_rms(found.given), found.held_out_rms(found.base)) == pytest.approx((given, base))
     assert found.remarks[-1] == (
-        f"what has no name distorts the calibrated base: it predicts the held-out trials worse (RMS {base:.3g} mm) "
-        f"than the given base ({given:.3g} mm), which is kept"
+        f"the calibrated base predicts the held-out trials worse (RMS {base:.3g} mm) than the given base "
+        f"({given:.3g} mm), which is kept: what has no name distorts it"
     )
 
 

@@ -4,7 +4,7 @@ import re
 
 import pytest
 
-from needleplan.page._export import STATIC
+from needleplan.page._requests import STATIC
 
 
 def needed(module: str) -> set[str]:

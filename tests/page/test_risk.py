@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import needleplan as npl
-from needleplan.page._risk import nearest_risk, risk_distances
+from needleplan.page._recorded import nearest_risk, risk_distances
 
 
 def test_the_nearest_risk_is_the_clearance_of_the_path(table: npl.PolicyTable) -> None:

@@ -10,7 +10,7 @@ import pytest
 
 import needleplan as npl
 from needleplan.page._access import MOST_BYTES
-from needleplan.page._packing import plain
+from needleplan.page._requests import plain
 from tests.page.served import Served, served
 
 ENTRY = {"x_mm": 0.0, "y_mm": 20.0, "heading_deg": 5.0}

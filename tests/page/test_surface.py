@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from needleplan.page._surface import surface
+from needleplan.page._space_maps import surface
 
 
 def volume_mm3(vertices: np.ndarray, triangles: np.ndarray) -> float:

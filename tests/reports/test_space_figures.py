@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 from needleplan.anatomy import TARGET, SpaceFrame, draw_near, grid_of, slice_note, target_slices
 from needleplan.planning import EntryMap, Success, draw_entries, entry_map, rank_entries
-from needleplan.reports.space_insertion import space_insertion_figure
+from needleplan.reports.insertion import space_insertion_figure
 from tests.anatomy.volumes import anatomy, box
 from tests.control.space_scenes import box_table, inserted
 

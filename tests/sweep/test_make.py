@@ -15,7 +15,7 @@ from needleplan.errors import OutputError, SweepError
 from needleplan.planning import Path as PlannedPath
 from needleplan.sweep import Engine, Sweep, SweptParameter, TableSetReport, make_table_set
 from needleplan.sweep._store import TableSetStore
-from needleplan.sweep._texts import record_unit
+from needleplan.sweep._swept_parameter import record_unit
 from tests.cli.commands import needleplan, refused
 from tests.sweep.sweeps import write_sweep
 

@@ -180,7 +180,7 @@ def test_the_command(small: Path, tmp_path: Path, options: tuple[str, ...]) -> N
         (("mismatch",), "must name one table, but 6 tables have these values; give a value of radius_mm, rotation too"),
         (("mismatch", "--planned", "radius_mm=30"), "give a value of rotation too"),
         (("mismatch", "--planned", "radius_mm=31"), "--planned = radius_mm=31: no table has this value"),
-        (("mismatch", "--planned", "radius_mm=30", "--runs", "0"), "--runs = 0: must be at least 1"),
+        (("mismatch", "--planned", "radius_mm=30", "--runs", "0"), "--runs = 0: must be a whole number from 1"),
         (("map", "--select", "rotation=77"), "no table has this value; rotation is 1.0 or 8.0"),
         (("entries", "--select", "rotation=abc"), "no table has this value"),
         (("pareto", "--select", "rotation=9:2"), "a range is LOW:HIGH; write 2:9"),

@@ -7,7 +7,6 @@ from needleplan.anatomy._anatomy import Anatomy
 from needleplan.anatomy._breathing import Breathing
 from needleplan.anatomy._case import AnatomyCase, CaseChoices, CaseStructure, read_case
 from needleplan.anatomy._case_text import case_files, write_case
-from needleplan.anatomy._crossed import crossed_voxels
 from needleplan.anatomy._drawing import (
     draw_bodies,
     draw_letters,
@@ -30,7 +29,7 @@ from needleplan.anatomy._file import (
     TissueCurvature,
 )
 from needleplan.anatomy._frame import SpaceFrame, frame_of, nearest_labels
-from needleplan.anatomy._grid import AnatomyGrid, grid_of, grids_of
+from needleplan.anatomy._grid import AnatomyGrid, TargetBody, grid_of, grids_of
 from needleplan.anatomy._labels import read_color_table, read_volume
 from needleplan.anatomy._limits import HalfSpace, SpaceLimits
 from needleplan.anatomy._nifti import image_bytes, nifti_bytes
@@ -38,10 +37,9 @@ from needleplan.anatomy._phantom import PHANTOMS, phantom_files, write_phantom
 from needleplan.anatomy._risk import obstacle_distances
 from needleplan.anatomy._roles import StructureRole, role_by_name
 from needleplan.anatomy._scenario import SpaceScenario
-from needleplan.anatomy._target import TargetBody
 from needleplan.anatomy._transform import TRANSFORM_ENDINGS, pose_matrix, require_transform_name, transform_bytes
 from needleplan.anatomy._volume import LabelVolume
-from needleplan.anatomy._voxels import FREE, OBSTACLE, OUTSIDE, TARGET, entered_cells, possible_codes
+from needleplan.anatomy._voxels import FREE, OBSTACLE, OUTSIDE, TARGET, crossed_voxels, entered_cells, possible_codes
 
 __all__ = [
     "FREE",

@@ -23,7 +23,7 @@ import numpy as np
 
 from needleplan.anatomy._case_grid import CommonGrid, TargetVoxels
 from needleplan.anatomy._file import Sphere
-from needleplan.anatomy._label_names import TABLE_ENDINGS, name_mistakes, read_label_names
+from needleplan.anatomy._labels import TABLE_ENDINGS, name_mistakes, read_label_names
 from needleplan.anatomy._markups import POINT_ENDINGS, MarkedPoint, read_points
 from needleplan.anatomy._masks import MASK_ENDINGS, Structure, read_structures, stem_of
 from needleplan.anatomy._roles import StructureRole, role_by_name

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from needleplan.anatomy._bytes import counted_bytes
+from needleplan.anatomy._volume import counted_bytes
 from needleplan.errors import Mistake, ScenarioError
 
 if TYPE_CHECKING:

@@ -9,7 +9,7 @@ from pathlib import Path
 from needleplan.anatomy._anatomy import Anatomy
 from needleplan.anatomy._case import AnatomyCase
 from needleplan.anatomy._file import AnatomyFile, Sphere
-from needleplan.anatomy._label_names import BETWEEN, OUTSIDE, table_name
+from needleplan.anatomy._labels import BETWEEN, OUTSIDE, table_name
 from needleplan.anatomy._nifti import nifti_bytes
 from needleplan.anatomy._roles import StructureRole
 from needleplan.artifacts import write_whole

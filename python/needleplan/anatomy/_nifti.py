@@ -17,8 +17,7 @@ from typing import IO, TYPE_CHECKING, Any
 
 import numpy as np
 
-from needleplan.anatomy._bytes import counted_bytes, exact_bytes, require_size
-from needleplan.anatomy._volume import LabelVolume, whole_labels
+from needleplan.anatomy._volume import LabelVolume, counted_bytes, exact_bytes, require_size, whole_labels
 from needleplan.errors import Mistake, ScenarioError
 
 if TYPE_CHECKING:

@@ -11,8 +11,7 @@ from typing import IO, Any
 
 import numpy as np
 
-from needleplan.anatomy._bytes import counted_bytes, exact_bytes, require_size
-from needleplan.anatomy._volume import LabelVolume, is_label, whole_labels
+from needleplan.anatomy._volume import LabelVolume, counted_bytes, exact_bytes, is_label, require_size, whole_labels
 from needleplan.errors import Mistake, ScenarioError, reading
 
 __all__ = ["is_layered", "read_displacements", "read_layers", "read_nrrd"]

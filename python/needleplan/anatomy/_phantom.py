@@ -162,37 +162,7 @@ PHANTOMS = {
 }
 """The phantoms by name."""
 
-_TOML = """\
-# Invented anatomy, made by `needleplan new --anatomy {name} --seed {seed}`. Not from a patient; for research only.
-schema = "needleplan.anatomy/1"
-title = "Phantom {name} (invented), seed {seed}"
-
-[anatomy]
-file = "{name}.nii.gz"                # segmentation: .nii, .nii.gz, .nrrd, .nhdr
-labels = "labels.ctbl"                # colour table: names of the labels
-target = "target"                     # a label, or {{ center_mm = [R, A, S], radius_mm = 5.0 }}
-entry = "entry"
-obstacles = [{obstacles}]
-outside = ["air"]                     # the needle must not be here
-margin_mm = 2.0                       # distance that the needle keeps from obstacles
-# margins_mm = {{ vessel = 3.0 }}       # of single obstacles
-
-[[anatomy.curvature]]                 # radius of the needle's arc in a tissue
-label = "{organ}"
-radius_mm = {radius:.1f}
-
-[needle]
-curvature_radius_mm = {softer:.1f}         # in all other tissues
-tip_noise_deg = 6.0                   # after 10 mm of insertion
-# gauge = 18                          # thickness of the needle; obstacles are grown by half of it
-
-[lattice]
-spacing_mm = 2.0                      # left out: the finest of 1, 1.5 and 2 mm that states and memory permit
-step_mm = 4.0                         # advance of one insertion step along the axis
-cone_deg = 40.0                       # half angle of the cone of directions
-directions_deg = 5.0                  # distance of neighbouring directions
-rolls = 8
-"""
+_TOML = Path(__file__).with_name("phantom.txt")
 
 
 def phantom_files(name: str) -> tuple[str, str, str]:
@@ -233,7 +203,7 @@ def write_phantom(name: str, folder: str | os.PathLike[str], seed: int = 0) -> P
     lines = [f"{number} {label} {color}" for number, (label, color) in _NAMES.items()]
     lines += [f"{number} {line}" for number, line in organs.items()]
     table = "# Invented anatomy: names and colours of its labels\n" + "\n".join(lines) + "\n"
-    text = _TOML.format(
+    text = _TOML.read_text(encoding="utf-8").format(
         name=name, seed=seed, organ=kind.organ, radius=kind.radius_mm, softer=1.25 * kind.radius_mm,
         obstacles=", ".join(f'"{each}"' for each in ("vessel", "bone", *kind.obstacles)),
     )  # fmt: skip

@@ -11,13 +11,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from needleplan.artifacts import FileKind, file_format
-from needleplan.cli.answer import by_table, complain, note, percent, print_json, working
-from needleplan.cli.lattice_report import breath_lines, lattice_record, lattice_texts
-from needleplan.cli.options import require_ending, require_inputs_kept, require_outputs
+from needleplan.cli.answer import by_table, complain, note, one_line, percent, print_json, working
+from needleplan.cli.options import require_absent, require_ending, require_inputs_kept, require_outputs, require_rules
 from needleplan.cli.parser import Parser
-from needleplan.cli.streams import one_line
+from needleplan.cli.plan_space import breath_lines, lattice_record, lattice_texts
 from needleplan.cli.uncertainty import promise_lines, promise_record, promised, read_registered, read_uncertainty
-from needleplan.errors import InputError, Mistake
 
 if TYPE_CHECKING:
     from needleplan.anatomy import Anatomy
@@ -37,19 +35,11 @@ __all__ = ["add_anatomy", "is_anatomy", "require_no_anatomy", "run_anatomy_entri
 # Number of ranked entries, and number of executions with noise from the best one.
 _TOP, _RUNS = 5, 1000
 # Options of `entry` that hold for anatomies only, and for tables only, with their defaults.
-_ANATOMY_ONLY = {
-    "--top": None,
-    "--exact-entry": False,
-    "--output": None,
-    "--figure": None,
-    "--markups": None,
-    "--transform": None,
-    "--vtp": None,
-    "--plane-out": None,
-    "--success": None,
-    "--rank": None,
-}
-_PLANE_ONLY = {"--edge": None, "--at": None, "--needle": None}
+_ANATOMY_ONLY = (
+    "--top", "--exact-entry", "--output", "--figure", "--markups", "--transform", "--vtp", "--plane-out", "--success",
+    "--rank",
+)  # fmt: skip
+_PLANE_ONLY = ("--edge", "--at", "--needle")
 
 
 def add_anatomy(parser: Parser, top: Any) -> None:
@@ -91,7 +81,7 @@ def is_anatomy(file: str) -> bool:
 
 def require_no_anatomy(options: argparse.Namespace) -> None:
     """Raise InputError if an option was given that needs an anatomy."""
-    _refuse(options, _ANATOMY_ONLY, "holds for an anatomy and a 3D table, and this is a table in the plane")
+    require_absent(options, _ANATOMY_ONLY, "holds for an anatomy and a 3D table, and this is a table in the plane")
 
 
 def run_anatomy_entries(options: argparse.Namespace) -> int:
@@ -99,7 +89,7 @@ def run_anatomy_entries(options: argparse.Namespace) -> int:
     from needleplan.anatomy import Anatomy
     from needleplan.planning import rank_entries
 
-    _refuse(options, {"--verify-key": None}, "holds for a policy table, and this is an anatomy")
+    require_absent(options, ["--verify-key"], "holds for a policy table, and this is an anatomy")
     _require_options(options)
     anatomy = Anatomy.read(options.table)
     require_inputs_kept(options)
@@ -122,17 +112,17 @@ def run_table_entries(table: SpaceTable, options: argparse.Namespace) -> int:
 
 def _uncertainty(options: argparse.Namespace) -> Uncertainty:
     """Return the uncertainty that the options state. Raises InputError also for an option that several targets need."""
-    _refuse(options, {"--rank": None}, "holds for an anatomy with several targets, and this has one")
+    require_absent(options, ["--rank"], "holds for an anatomy with several targets, and this has one")
     return read_uncertainty(options, read_registered(options.registration))
 
 
 def _require_options(options: argparse.Namespace) -> None:
     """Raise InputError or OutputError if an option cannot be used."""
     from needleplan.anatomy import require_transform_name
+    from needleplan.config import Integer
 
-    _refuse(options, _PLANE_ONLY, "holds for a table in the plane, and this is one in 3D")
-    if options.top is not None and options.top < 1:
-        raise InputError(Mistake("--top", str(options.top), "must be at least 1"))
+    require_absent(options, _PLANE_ONLY, "holds for a table in the plane, and this is one in 3D")
+    require_rules(options, {"--top": Integer(1, 10_000)})
     require_ending("--markups", options.markups, ".mrk.json")
     require_transform_name("--transform", options.transform)
     require_ending("--vtp", options.vtp, ".vtp")
@@ -236,13 +226,6 @@ def _transform(entry: SpaceEntry, file: str) -> bytes:
     from needleplan.anatomy import pose_matrix, transform_bytes
 
     return transform_bytes(pose_matrix(entry.position_mm, entry.direction), Path(file).suffix.lower())
-
-
-def _refuse(options: argparse.Namespace, names: dict[str, Any], rule: str) -> None:
-    for name, default in names.items():
-        value = getattr(options, name.removeprefix("--").replace("-", "_"))
-        if value != default:
-            raise InputError(Mistake(name, str(value), rule))
 
 
 def _lines(

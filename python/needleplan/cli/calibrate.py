@@ -7,7 +7,7 @@ from typing import Any
 
 from needleplan.cli.answer import complain, note, print_json, print_summary, working
 from needleplan.cli.options import add_answer
-from needleplan.cli.pose_options import add_poses, pivot_lines, pivot_record, pose_noise, verdict_record
+from needleplan.cli.register import add_poses, pivot_lines, pivot_record, pose_noise, verdict_record
 
 __all__ = ["add_to", "run"]
 

@@ -3,13 +3,20 @@
 from __future__ import annotations
 
 import argparse
-import math
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from needleplan.cli.answer import note, print_json, print_summary, working
-from needleplan.cli.options import add_answer, add_output, options_named, require_ending, require_outputs, split_numbers
+from needleplan.cli.options import (
+    add_answer,
+    add_output,
+    options_named,
+    require_ending,
+    require_outputs,
+    require_rules,
+    split_numbers,
+)
 from needleplan.cli.parser import whole
 from needleplan.errors import InputError, Mistake
 
@@ -103,12 +110,9 @@ def _run_case(options: argparse.Namespace) -> int:
 def _choices(options: argparse.Namespace) -> CaseChoices:
     """Return the choices of the options. Raises InputError."""
     from needleplan.anatomy import CaseChoices, StructureRole
+    from needleplan.config import Number
 
-    mistakes = [
-        Mistake(name, f"{value:g}", "must be a number of mm above 0")
-        for name, value in (("--target-radius", options.target_radius), ("--entry-radius", options.entry_radius))
-        if value is not None and not 0 < value < math.inf
-    ]
+    mistakes: list[Mistake] = []
     roles: dict[str, StructureRole] = {}
     for text in options.role:
         name, _, role = text.rpartition("=")
@@ -125,8 +129,7 @@ def _choices(options: argparse.Namespace) -> CaseChoices:
                 mistakes.append(Mistake("--role", f"{name}={role}", f"is the second {role}"))
             places[role] = name
             del roles[name]
-    if mistakes:
-        raise InputError(mistakes)
+    require_rules(options, dict.fromkeys(("--target-radius", "--entry-radius"), Number("mm", above=0)), *mistakes)
     return CaseChoices(places["target"], places["entry"], options.target_radius, options.entry_radius, roles)
 
 

@@ -8,10 +8,9 @@ from pathlib import Path
 from statistics import median
 from typing import Any
 
-from needleplan.cli.answer import print_json, working
+from needleplan.cli.answer import one_line, print_json, working
 from needleplan.cli.data_options import add_data, naming, read_data, wrong_for_plans
 from needleplan.cli.options import add_answer
-from needleplan.cli.streams import one_line
 from needleplan.errors import InputError
 
 __all__ = ["add_to", "run"]

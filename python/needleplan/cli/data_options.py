@@ -9,6 +9,7 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
 from needleplan.cli.answer import note
+from needleplan.cli.options import given_mistakes
 from needleplan.errors import InputError, Mistake, ModelError
 
 if TYPE_CHECKING:
@@ -17,10 +18,10 @@ if TYPE_CHECKING:
 __all__ = ["add_data", "add_reading", "data_files", "naming", "read_data", "read_files", "wrong_for_plans"]
 
 # Options that hold for trials of a model, with their defaults. Plans are compared with recordings, which need none.
-_OF_MODELS = {
-    "holdout": [], "noise": [], "reference": [], "without_references": False, "rate": None, "accept_units": False,
-    "columns": None, "surface": None, "frame": None, "scenario": None, "fit": False,
-}  # fmt: skip
+_OF_MODELS = (
+    "--holdout", "--noise", "--reference", "--without-references", "--rate", "--accept-units", "--columns", "--surface",
+    "--frame", "--scenario", "--fit",
+)  # fmt: skip
 
 
 @contextmanager
@@ -71,11 +72,7 @@ def add_reading(parser: argparse.ArgumentParser) -> None:
 
 def wrong_for_plans(options: argparse.Namespace, reason: str, permitted: Sequence[str] = ()) -> list[Mistake]:
     """Return a mistake for each given option that holds for models only, except those permitted."""
-    return [
-        Mistake(f"--{name.replace('_', '-')}", "" if value is True else f"{value}", f"is for models: {reason}")
-        for name, default in _OF_MODELS.items()
-        if name not in permitted and (value := getattr(options, name, default)) != default
-    ]
+    return given_mistakes(options, [name for name in _OF_MODELS if name not in permitted], f"is for models: {reason}")
 
 
 def data_files(options: argparse.Namespace) -> list[str]:

@@ -1,27 +1,78 @@
-"""`needleplan diagnose`: find where a model and recordings disagree, and which effect the model lacks."""
+"""`needleplan diagnose`: find where a model and recordings disagree, and which effect the model lacks.
+
+Recorded insertions by a 3D table as the trials of a diagnosis.
+"""
 
 from __future__ import annotations
 
 import argparse
 import json
-import math
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from needleplan.artifacts import FileKind, file_format
+from needleplan.artifacts import CallRepr, FileKind, file_format
 from needleplan.cli.answer import note, print_first, print_json, working
-from needleplan.cli.data_options import add_data, data_files, naming, read_data, read_files
-from needleplan.cli.insertion_data import read_insertions
-from needleplan.cli.options import add_answer, add_output, require_free
+from needleplan.cli.data_options import add_data, data_files, naming, read_data, read_files, wrong_for_plans
+from needleplan.cli.options import add_answer, add_output, require_free, require_rules
 from needleplan.cli.parser import whole
 from needleplan.errors import InputError, Mistake
 
 if TYPE_CHECKING:
+    from needleplan.anatomy import SpaceScenario
+    from needleplan.identification.insertion_path import InsertionPath
     from needleplan.models import ModelFile
     from needleplan.scenario import Scenario
     from needleplan.signals import Record
 
-__all__ = ["add_to", "run"]
+__all__ = ["DiagnosedInsertions", "add_to", "read_insertions", "run"]
+
+
+_RECORDING = ".mcap"
+
+
+@dataclass(frozen=True, eq=False)
+class DiagnosedInsertions(CallRepr):
+    """Trials of a diagnosis, the plan and its model of the path, and the paths of the training trials."""
+
+    scenario: SpaceScenario
+    file: ModelFile
+    records: list[Record]
+    training: list[InsertionPath]
+
+
+def read_insertions(options: argparse.Namespace) -> DiagnosedInsertions:
+    """Read the recordings of `diagnose ANATOMY.toml RUN.mcap ...`. Raises InputError for other files and options."""
+    from needleplan.anatomy import Anatomy, SpaceScenario
+    from needleplan.control import recorded_insertion
+    from needleplan.diagnosis.data import check_data
+    from needleplan.identification.insertion_path import insertion_path
+    from needleplan.recording import Recording, resampled
+    from needleplan.reports.diagnosis.diagnosed_anatomy import planned_path_model
+    from needleplan.signals import Role
+
+    rule = "must be a recording (.mcap) of `insert`, of `simulate` for --noise: the model is an anatomy"
+    files = data_files(options)
+    mistakes = wrong_for_plans(options, "the model is an anatomy", ("--holdout", "--noise", "--reference", "--rate"))
+    mistakes += [Mistake("DATA", file, rule) for file in files if not file.lower().endswith(_RECORDING)]
+    mistakes += [Mistake("DATA", file, "is given twice") for file in {*files} if files.count(file) > 1]
+    if mistakes:
+        raise InputError(mistakes)
+    scenario = SpaceScenario.of(Anatomy.read(options.model))
+    by_role = ((options.data, Role.TRAIN), (options.holdout, Role.HOLDOUT), (options.reference, Role.REFERENCE))
+    paths = [
+        insertion_path(recorded_insertion(file, scenario), scenario, role) for files, role in by_role for file in files
+    ]
+    records = [path.record for path in paths]
+    records += [Recording.read(file).tracker_noise() for file in options.noise]
+    if options.rate is not None:
+        records = [resampled(record, options.rate) for record in records]
+    model = planned_path_model(scenario, paths)
+    check_data(records, model.model.channel)
+    note(f"{len(records)} recordings, {sum(map(len, records)):,} poses of the tracker")
+    return DiagnosedInsertions(scenario, model, records, paths[: len(options.data)])
+
 
 # Beginnings of remarks on sensors along the needle and images, which are printed without --verbose, too.
 _SENSORS = ("curvature along the needle:", "tip in images:")
@@ -81,6 +132,7 @@ def add_to(commands: Any) -> None:
 def run(options: argparse.Namespace) -> int:
     """Run the command and return the exit code: 0 if no effect is missing or it was named, else 1."""
     from needleplan.artifacts import require_different, require_folder
+    from needleplan.config import Integer
     from needleplan.diagnosis import Verdict
     from needleplan.diagnosis.data import check_data
     from needleplan.models import ModelFile
@@ -98,8 +150,7 @@ def run(options: argparse.Namespace) -> int:
     from needleplan.reports.diagnosis.corrected_plan import corrected_plan_lines, write_scenario
     from needleplan.reports.diagnosis.diagnosed_anatomy import corrected_anatomy_lines, write_anatomy
 
-    if not 1 <= options.trials <= MOST_TRIALS:
-        raise InputError(Mistake("--trials", str(options.trials), f"must be 1 to {MOST_TRIALS}"))
+    require_rules(options, {"--trials": Integer(1, MOST_TRIALS)})
     for file in options.effects:
         register_file(file)
     kind = file_format(options.model).kind
@@ -160,16 +211,22 @@ def run(options: argparse.Namespace) -> int:
                 note(remark)
         if scenario or is_anatomy:
             print("\n".join(plan_lines))
-    for each in written:
-        note(f"wrote {each}")
-    removed = [each for each in old if each not in written and not Path(each).exists()]
-    for each in old:
-        if each not in written:
-            note(f"{'removed' if each in removed else 'kept'} {each}: it belongs to an earlier diagnosis")
+    removed = _removed(written, old)
     if options.json:
         document = json.loads(Path(written[0]).read_text(encoding="utf-8"))
         print_json(document | {"written": list(written), "removed": removed})
     return 0 if found.verdict in (Verdict.NONE, Verdict.CHANGED, Verdict.NAMED) else 1
+
+
+def _removed(written: Sequence[str], old: Sequence[str]) -> list[str]:
+    """Print what became of the files of this and of an earlier diagnosis, and return the removed ones."""
+    for file in written:
+        note(f"wrote {file}")
+    left = [file for file in old if file not in written]
+    removed = [file for file in left if not Path(file).exists()]
+    for file in left:
+        note(f"{'removed' if file in removed else 'kept'} {file}: it belongs to an earlier diagnosis")
+    return removed
 
 
 def _identified(options: argparse.Namespace, file: ModelFile, records: list[Record]) -> list[Record]:
@@ -189,13 +246,13 @@ def _scenario(options: argparse.Namespace) -> Scenario | None:
 
     Raises InputError if the speed is not positive and finite, the model does not describe a path, or a file is wrong.
     """
+    from needleplan.config import Number
     from needleplan.models import ModelFile
     from needleplan.reports.diagnosis.corrected_plan import require_path
     from needleplan.scenario import Scenario
 
     if not options.scenario:
         return None
-    if not 0 < options.speed < math.inf:
-        raise InputError(Mistake("--speed", f"{options.speed:g}", "must be a number above 0"))
+    require_rules(options, {"--speed": Number("mm/s", above=0)})
     require_path(ModelFile.read(options.model).model.channel)
     return Scenario.read(options.scenario)

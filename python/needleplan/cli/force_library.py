@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from needleplan.artifacts import FileKind, file_format
 from needleplan.cli.answer import complain, note, print_json
+from needleplan.cli.options import given_mistakes, require_absent
 from needleplan.cli.parser import Parser
 from needleplan.errors import InputError, Mistake, OutputError
 
@@ -64,11 +65,7 @@ def require_library(options: argparse.Namespace) -> ForceLibrary | None:
 
     names = {"--needle-name": options.needle_name, "--tissue-name": options.tissue_name}
     if options.force_library is None:
-        given = [name for name, value in names.items() if value is not None]
-        if given:
-            raise InputError(
-                [Mistake(name, "", "is an option for --force-library, which is missing") for name in given]
-            )
+        require_absent(options, names, "is an option for --force-library, which is missing")
         return None
     if options.kind != "force":
         raise InputError(
@@ -115,13 +112,8 @@ def store(
 
 def require_no_search(options: argparse.Namespace) -> None:
     """Raise InputError if options that search a library are given. Called if the file is not a library."""
-    given = {"--needle-name": options.needle_name, "--tissue-name": options.tissue_name, "--velocity": options.velocity}
-    mistakes = [
-        Mistake(name, f"{value}", "is an option for a library, a .toml file")
-        for name, value in given.items()
-        if value is not None
-    ]
-    if mistakes:
+    names = ["--needle-name", "--tissue-name", "--velocity"]
+    if mistakes := given_mistakes(options, names, "is an option for a library, a .toml file"):
         raise InputError(mistakes, options.table)
 
 

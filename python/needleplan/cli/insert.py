@@ -1,4 +1,7 @@
-"""`needleplan insert`: insert a needle by a policy table."""
+"""`needleplan insert`: insert a needle by a policy table.
+
+The registration of `needleplan insert`: its verdict, and its error at the target beside the target's radius.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +17,6 @@ from needleplan.cli.estop import MOVES, EmergencyStop, alarm, require_estop
 from needleplan.cli.insert_answer import answer_insertion, exit_code
 from needleplan.cli.insert_options import add_insert_options
 from needleplan.cli.insert_plan import InsertPlan, read_insert_plan, read_insert_table_set
-from needleplan.cli.insert_registration import read_judged
 from needleplan.cli.interrupt import handled_signals, needle_moves
 from needleplan.cli.needle_sensors import opened_sensors, read_addressed_sensors
 from needleplan.cli.options import (
@@ -23,6 +25,7 @@ from needleplan.cli.options import (
     options_named,
     require_inputs_kept,
     require_outputs,
+    require_rules,
     safety_limits,
 )
 from needleplan.cli.parser import Parser
@@ -31,14 +34,48 @@ from needleplan.cli.realtime import require_prompt
 from needleplan.errors import AddressError, DeviceFault, InputError, Mistake, OutputError
 
 if TYPE_CHECKING:
+    from needleplan.cli.insert_plan import InsertPlan
     from needleplan.control import BreathGate, InsertionReport, Replanner, RunRecorder, RunSetup
     from needleplan.control.safety import SafetyLimits
     from needleplan.devices import Station
     from needleplan.devices.robot import MotionLimits
+    from needleplan.estimation.registration import Registration
     from needleplan.planning import Table
     from needleplan.sweep import CurvatureLookup
 
-__all__ = ["add_to", "run"]
+__all__ = ["add_to", "read_judged", "run"]
+
+
+# Share of the target's radius above which the expected error at the target is remarked on.
+_LARGE_SHARE = 0.5
+
+
+def read_judged(file: str, plan: InsertPlan) -> Registration:
+    """Return the registration of a file after comparing its expected error (TRE) with the radius of the target.
+
+    Remarks name what a person accepted, an unknown TRE, and a TRE above half the radius. Raises DataError if the
+    file cannot be read, or the registration has no verdict or was refused; InputError for a TRE above the radius.
+    """
+    from needleplan.estimation.registration import Registration, require_verdict
+
+    found = Registration.read(file)
+    verdict = require_verdict(found, file).verdict
+    if verdict.accepted:
+        note(f"warning: the registration was accepted: {verdict.accepted}")
+        for reason in verdict.reasons:
+            note(f"warning: against the registration: {reason}")
+    error, radius = found.tre_mm(plan.target_in_registration_mm), plan.target_radius_mm
+    if math.isnan(error):
+        note("warning: the registration has no points, so its error at the target (TRE) is unknown")
+    elif error > radius:
+        rule = f"must be at most the radius of the target, {radius:.3g} mm: measure more points around the target"
+        raise InputError(Mistake("expected error at the target (TRE)", f"{error:.3g} mm", rule), file)
+    elif error > _LARGE_SHARE * radius:
+        note(
+            f"warning: the error at the target (TRE), {error:.3g} mm expected, exceeds half its radius, {radius:.3g} mm"
+        )
+    return found
+
 
 _SIM, _ROBOTS, _RECORDING = "sim://", ("udp://", "serial://"), ".mcap"
 _REFUSED = 2  # exit code: refused before anything moved, or a device failed
@@ -306,22 +343,14 @@ def _require_numbers(options: argparse.Namespace, limits: SafetyLimits) -> None:
 
     Without this check, the guard or the loop would refuse them only after the devices are opened.
     """
-    mistakes = []
-    for name, most, unit in (
-        ("speed", limits.insertion_velocity_mm_s, "mm/s"),
-        ("rotation_speed_deg", math.degrees(limits.rotation_velocity_rad_s), "degrees/s"),
-    ):
-        value, option = getattr(options, name), f"--{name.replace('_', '-')}"
-        if not 0 < value < math.inf:
-            mistakes.append(Mistake(option, f"{value:g}", f"must be a number of {unit} above 0"))
-        elif value > most:
-            mistakes.append(Mistake(option, f"{value:g}", f"must be at most the limit of the run, {most:g} {unit}"))
-    if not limits.shallowest_mm <= options.entry_depth < limits.deepest_mm:
-        rule = f"must be within the limits of the run, from {limits.shallowest_mm:g} to {limits.deepest_mm:g} mm"
-        mistakes.append(Mistake("--entry-depth", f"{options.entry_depth:g}", rule))
-    if not math.isfinite(options.roll_left_deg):
-        mistakes.append(Mistake("--roll-left-deg", f"{options.roll_left_deg:g}", "must be a number of degrees"))
-    if options.needle_length is not None and not 0 < options.needle_length < math.inf:
-        mistakes.append(Mistake("--needle-length", f"{options.needle_length:g}", "must be a number of mm above 0"))
-    if mistakes:
-        raise InputError(mistakes)
+    from needleplan.config import Number
+
+    fastest_deg_s = math.degrees(limits.rotation_velocity_rad_s)
+    deepest_mm = math.nextafter(limits.deepest_mm, -math.inf)
+    require_rules(options, {
+        "--speed": Number("mm/s, within the limits of the run,", above=0, at_most=limits.insertion_velocity_mm_s),
+        "--rotation-speed-deg": Number("degrees/s, within the limits of the run,", above=0, at_most=fastest_deg_s),
+        "--entry-depth": Number("mm, within the limits of the run,", at_least=limits.shallowest_mm, at_most=deepest_mm),
+        "--roll-left-deg": Number("degrees"),
+        "--needle-length": Number("mm", above=0),
+    })  # fmt: skip

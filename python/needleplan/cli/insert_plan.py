@@ -8,7 +8,7 @@ from abc import ABC, abstractmethod
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
-from needleplan.cli.options import read_table
+from needleplan.cli.options import read_table, require_absent
 from needleplan.cli.uncertainty import promise_lines, promised, read_model, read_registered, read_uncertainty
 from needleplan.errors import InputError, Mistake, SweepError
 
@@ -133,8 +133,7 @@ class PlaneInsertPlan(InsertPlan):
         from needleplan.scenario import Scenario
 
         self.table = table
-        if options.vtp:
-            raise InputError(Mistake("--vtp", options.vtp, "needs a 3D table"))
+        require_absent(options, ["--vtp"], "needs a 3D table")
         self.model = read_model(options.needle)
         scenario = Scenario.read(options.scenario) if options.scenario else None
         require_fitting(table, options.table, scenario, self.model)
@@ -199,7 +198,8 @@ class SpaceInsertPlan(InsertPlan):
 
     def __init__(self, table: SpaceTable, options: argparse.Namespace) -> None:
         self.table = table
-        _refuse_plane_options(options)
+        rule = "is for a table in the plane, and this is a 3D table"
+        require_absent(options, ["--scenario", "--needle"], rule)
         self.start = _start(table, options)
 
     @property
@@ -232,7 +232,7 @@ class SpaceInsertPlan(InsertPlan):
 
     def figure(self, report: InsertionReport, true_tip_mm: Vector | None) -> Figure:
         """Return the figure of the insertion in three slices and in 3D."""
-        from needleplan.reports.space_insertion import space_insertion_figure
+        from needleplan.reports.insertion import space_insertion_figure
 
         return space_insertion_figure(self.table, report, true_tip_mm)
 
@@ -245,7 +245,7 @@ class SpaceInsertPlan(InsertPlan):
 
     def vtp(self, report: InsertionReport) -> bytes:
         """Return planned path (`executed` 0) and estimated tip (1) as a VTP file in RAS."""
-        from needleplan.reports.space_insertion import insertion_vtp
+        from needleplan.reports.insertion import insertion_vtp
 
         return insertion_vtp(self.table, report)
 
@@ -317,18 +317,3 @@ def _start(table: Table, options: argparse.Namespace) -> Any:
     from needleplan.cli.table_poses import poses_of
 
     return poses_of(table).start(options.start)
-
-
-def _refuse_plane_options(options: argparse.Namespace) -> None:
-    """Raise InputError for options that a 3D table does not permit."""
-    rules = {
-        "--scenario": "is for a table in the plane, and this is a 3D table",
-        "--needle": "is for a table in the plane, and this is a 3D table",
-    }
-    mistakes = [
-        Mistake(name, str(value), rule)
-        for name, rule in rules.items()
-        if (value := getattr(options, name.removeprefix("--"))) is not None
-    ]
-    if mistakes:
-        raise InputError(mistakes)

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from needleplan.cli.streams import printable, terminal
+from needleplan.cli.answer import printable, terminal
 from needleplan.control import (
     ExecutedStep,
     Listener,

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from needleplan.cli.answer import complain, note, print_json, print_summary
 from needleplan.cli.interrupt import handled_signals
-from needleplan.cli.options import add_answer, add_output, add_start, require_outputs, require_table
+from needleplan.cli.options import add_answer, add_output, add_start, require_outputs, require_rules, require_table
 from needleplan.cli.parser import Parser, whole
 from needleplan.errors import DeviceFault, InputError, Mistake
 
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 __all__ = ["add_to", "run"]
 
-_PORTS = ("robot_port", "force_port", "http_port", "tracker_port")
+_PORTS = ("--robot-port", "--force-port", "--http-port", "--tracker-port")
 # Time (s) between two checks whether processes of the lab have ended.
 _LOOK_S = 0.1
 
@@ -82,7 +82,7 @@ def add_to(commands: Any) -> None:
         "is a relay to it, which its controller must use",
     )  # fmt: skip
     parser.add_argument("--key-file", metavar="FILE", help="shared key that the robot requires, in hexadecimal digits")
-    parser.add_argument("--duration", type=float, dest="duration_s", metavar="S", help="end after this time, s")
+    parser.add_argument("--duration", type=float, metavar="S", help="end after this time, s")
     add_answer(parser)
     parser.rename("--for", "--duration")
     parser.rename("--tracker", "--tracker-line")
@@ -122,7 +122,7 @@ def run(options: argparse.Namespace) -> int:
         _started(lambda: RealTimeLab(setup, seed, places, limits, key, _followed(options, stack))) as lab,
     ):
         _print(options, simulation, seed, lab)
-        all_died = _serve(lab, ending, options.duration_s)
+        all_died = _serve(lab, ending, options.duration)
     robot = lab.served.get("robot")
     if robot is not None:
         note(
@@ -216,17 +216,10 @@ def _print(options: argparse.Namespace, simulation: Simulation, seed: int, lab: 
 
 
 def _require(options: argparse.Namespace) -> None:
+    from needleplan.config import SEED, Integer, Number, Rule
     from needleplan.devices.robot import RobotLimits
 
     mistakes = []
-    if options.seed is not None and not 0 <= options.seed < 2**32:
-        mistakes.append(Mistake("--seed", f"{options.seed}", "must be a whole number from 0, below 2^32"))
-    for name in _PORTS:
-        if not 0 <= getattr(options, name) <= 65_535:
-            option = "--" + name.replace("_", "-")
-            mistakes.append(
-                Mistake(option, f"{getattr(options, name)}", "must be a port from 1 to 65535, or 0 for a free port")
-            )
     if options.follow is not None and options.key_file:
         mistakes.append(
             Mistake("--key-file", options.key_file, "is that of the robot at --follow, and of its controller")
@@ -242,9 +235,10 @@ def _require(options: argparse.Namespace) -> None:
         mistakes.append(Mistake("--start", options.start, "needs --table"))
     if options.tracker_port and options.tracker_line == "pty":
         mistakes.append(Mistake("--tracker-port", f"{options.tracker_port}", "needs --tracker-line tcp"))
-    if not 0.005 <= options.longest_silence <= 60:
-        mistakes.append(Mistake("--longest-silence", f"{options.longest_silence:g}", "must be from 0.005 to 60 s"))
-    if options.duration_s is not None and not 0 < options.duration_s < 1e7:
-        mistakes.append(Mistake("--duration", f"{options.duration_s:g}", "must be a positive number of seconds"))
-    if mistakes:
-        raise InputError(mistakes)
+    rules: dict[str, Rule] = {
+        "--seed": SEED,
+        **dict.fromkeys(_PORTS, Integer(0, 65_535)),
+        "--longest-silence": Number("s", at_least=0.005, at_most=60),
+        "--duration": Number("s", above=0, at_most=1e7),
+    }
+    require_rules(options, rules, *mistakes)

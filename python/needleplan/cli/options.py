@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 from needleplan.errors import InputError, Mistake, PoseError, SafetyError, TableError
 
 if TYPE_CHECKING:
+    from needleplan.config import Rule
     from needleplan.control.safety import SafetyLimits
     from needleplan.planning import Entry, Pose, Table
     from needleplan.scenario import Scenario
@@ -32,6 +33,7 @@ __all__ = [
     "add_table",
     "add_verify_key",
     "entry_record",
+    "given_mistakes",
     "grid_line",
     "guide_line",
     "guide_record",
@@ -39,10 +41,12 @@ __all__ = [
     "options_named",
     "pose_record",
     "read_table",
+    "require_absent",
     "require_ending",
     "require_free",
     "require_inputs_kept",
     "require_outputs",
+    "require_rules",
     "require_table",
     "safety_limits",
     "sign_key",
@@ -291,6 +295,54 @@ def require_inputs_kept(options: argparse.Namespace) -> None:
     from needleplan.artifacts import require_unread
 
     require_unread(options.checked_outputs)
+
+
+def given_mistakes(options: argparse.Namespace, names: Iterable[str], rule: str) -> list[Mistake]:
+    """Return a mistake for each option that was given although another choice leaves no use for it.
+
+    Parameters
+    ----------
+    options : argparse.Namespace
+        Options of the command.
+    names : iterable of str
+        Options, such as `--speed`, without a default. Options that the command does not have are left out.
+    rule : str
+        Rule of the mistakes.
+
+    Returns
+    -------
+    list of Mistake
+    """
+    values = {name: getattr(options, name.removeprefix("--").replace("-", "_"), None) for name in names}
+    return [
+        Mistake(name, "" if value is True else str(value), rule)
+        for name, value in values.items()
+        if value is not None and value is not False and value != []
+    ]
+
+
+def require_absent(options: argparse.Namespace, names: Iterable[str], rule: str) -> None:
+    """Raise InputError with the mistakes of `given_mistakes`."""
+    if mistakes := given_mistakes(options, names, rule):
+        raise InputError(mistakes)
+
+
+def require_rules(options: argparse.Namespace, rules: Mapping[str, Rule], *more: Mistake) -> None:
+    """Raise InputError with the options whose values break their rules, and further mistakes.
+
+    Parameters
+    ----------
+    options : argparse.Namespace
+        Options of the command.
+    rules : mapping
+        Rules by option, such as `--speed`. An option that was not given is left out.
+    *more : Mistake
+        Further mistakes of the options.
+    """
+    from needleplan.config import mistakes_of
+
+    if mistakes := [*mistakes_of(options, rules), *more]:
+        raise InputError(mistakes)
 
 
 def require_ending(option: str, file: str | None, *endings: str) -> None:

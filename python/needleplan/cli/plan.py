@@ -9,7 +9,7 @@ from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING, Any, cast
 
 from needleplan.artifacts import CallRepr, FileKind, file_format
-from needleplan.cli.answer import by_table, complain, note, percent, print_json, print_summary, working
+from needleplan.cli.answer import by_table, complain, note, one_line, percent, print_json, print_summary, working
 from needleplan.cli.options import (
     EDGES,
     add_answer,
@@ -20,6 +20,7 @@ from needleplan.cli.options import (
     grid_line,
     guide_line,
     guide_record,
+    require_absent,
     require_ending,
     require_outputs,
     sign_key,
@@ -27,7 +28,6 @@ from needleplan.cli.options import (
 from needleplan.cli.parser import Parser
 from needleplan.cli.plan_space import run_plan_space
 from needleplan.cli.push import PUSH_FORM, PUSH_HELP, read_push
-from needleplan.cli.streams import one_line
 from needleplan.cli.uncertainty import (
     add_uncertainty,
     promise_lines,
@@ -135,13 +135,7 @@ def run(options: argparse.Namespace) -> int:
     require_ending("--output", options.output, ".h5", ".hdf5")
     if file_format(options.scenario).kind is FileKind.ANATOMY:
         return run_plan_space(options)
-    if options.target_name is not None:
-        raise InputError(Mistake("--target-name", options.target_name, "needs an anatomy with several targets"))
-    if options.after:
-        rule = "needs an anatomy; in the plane, `identify curvature` and --needle plan again"
-        raise InputError(Mistake("--after", options.after[0], rule))
-    if options.stream:
-        raise InputError(Mistake("--stream", "", "needs an anatomy; tables in the plane are solved in memory"))
+    require_absent(options, ["--target-name", "--after", "--stream"], "needs an anatomy, and this is a scenario")
     from needleplan.planning import read_problem
 
     options.edge = options.edge or EDGES[0]
@@ -155,7 +149,7 @@ def run(options: argparse.Namespace) -> int:
     inputs = [options.scenario, options.sign_key, options.registration, *(each.file for each in identified)]
     require_outputs(options, inputs, options.output)
     key = sign_key(options)
-    from needleplan.planning import Status, draw_plan, guide_pose, heading_refinement, plan, resolution
+    from needleplan.planning import draw_plan, guide_pose, heading_refinement, plan, resolution
 
     if (times := heading_refinement(scenario)) > 1:
         few = scenario.motion.headings
@@ -185,6 +179,14 @@ def run(options: argparse.Namespace) -> int:
         print_json(_record(table, best, options) | {"resolution": checked.record()} | more)
     else:
         _print((table, checked, promise), best, identified, options, guide)
+    return _judged(table, checked, best, options.edge)
+
+
+def _judged(table: PolicyTable, checked: Resolution, best: Entry[Pose], edge: str) -> int:
+    """Print what speaks against the plan, and return the exit code."""
+    from needleplan.planning import Status
+
+    scenario = table.scenario
     if table.stats.status is not Status.CONVERGED:
         return complain(f"not converged: {table.stats.status.replace('_', ' ')}, residual {table.stats.residual:.3g}")
     for warning in checked.warnings:
@@ -196,10 +198,10 @@ def run(options: argparse.Namespace) -> int:
             "shorter than grid.spacing_mm"
         )
     if best.success < UNREACHABLE_SUCCESS:
-        return complain(f"the target cannot be reached from the {options.edge} edge")
+        return complain(f"the target cannot be reached from the {edge} edge")
     if best.success < _POOR_SUCCESS:
         note(
-            f"warning: even the best entry on the {options.edge} edge reaches the target in only "
+            f"warning: even the best entry on the {edge} edge reaches the target in only "
             f"{percent(best.success)} of the executions, by the table{_giving_up(scenario)}"
         )
     return 0

@@ -1,43 +1,80 @@
-"""`needleplan plan ANATOMY.toml`: solve an anatomy into a 3D policy table."""
+"""`needleplan plan ANATOMY.toml`: solve an anatomy into a 3D policy table.
+
+What `plan` and `entry` say about the lattice of an anatomy, what it changes of the file, and about breathing.
+"""
 
 from __future__ import annotations
 
 import argparse
-from dataclasses import replace
-from typing import TYPE_CHECKING
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, replace
+from typing import TYPE_CHECKING, Any
 
-from needleplan.cli.answer import complain, note, print_json, print_summary, working
-from needleplan.cli.lattice_report import lattice_record, lattice_texts
-from needleplan.cli.options import require_inputs_kept, require_outputs, sign_key
-from needleplan.cli.streams import one_line
+from needleplan.cli.answer import complain, note, one_line, percent, print_json, print_summary, working
+from needleplan.cli.options import require_absent, require_inputs_kept, require_outputs, sign_key
 from needleplan.cli.uncertainty import promise_lines, promise_record, promised, read_registered, read_uncertainty
 from needleplan.errors import InputError, Mistake, ScenarioError
 
 if TYPE_CHECKING:
     from needleplan.anatomy import Anatomy, SpaceScenario
     from needleplan.identification.space_curvature import SpaceCurvature
-    from needleplan.planning import SpacePose, SpaceTable, Success
+    from needleplan.planning import ResidualSuccess, SpacePose, SpaceTable, Success
 
-__all__ = ["best_record", "run_plan_space"]
+__all__ = ["best_record", "breath_lines", "lattice_record", "lattice_texts", "run_plan_space"]
+
+
+def lattice_texts(scenario: SpaceScenario) -> dict[str, str]:
+    """Return the printed lines about the lattice, by topic."""
+    grid, chosen = scenario.grid, scenario.file.lattice.spacing_mm is None
+    why = " (the finest of 1, 1.5 and 2 mm that states and memory permit)" if chosen else ""
+    texts = {
+        "lattice": f"spacing {grid.frame.spacing_mm:g} mm{why}, steps of {scenario.step_mm:g} mm, collisions in voxels "
+        f"of {grid.voxel_mm:.2g} mm"
+    }
+    if grid.loss is not None:
+        closed = grid.loss.closed_passage_mm
+        widest = f"the widest passage closed has {closed:.1f} mm" if closed > 0 else "no passage is closed"
+        texts["obstacles"] = (
+            f"{100 * grid.loss.obstacle_share:.1f} % of their volume is free on the lattice; "
+            f"{100 * grid.loss.free_share:.1f} % of the free volume is closed (margin, needle, voxels); {widest}"
+        )
+    return texts
+
+
+def lattice_record(scenario: SpaceScenario) -> dict[str, Any]:
+    """Return the JSON record of the lattice."""
+    grid = scenario.grid
+    return {
+        "spacing_mm": grid.frame.spacing_mm,
+        "spacing_chosen": scenario.file.lattice.spacing_mm is None,
+        "step_mm": scenario.step_mm,
+        "voxel_mm": grid.voxel_mm,
+        "needle_thickness_mm": scenario.needle.thickness_mm,
+        "loss": asdict(grid.loss) if grid.loss else None,
+    }
+
+
+def breath_lines(breaths: Sequence[ResidualSuccess], whose: str = "") -> Iterator[str]:
+    """Yield the lines on the success of the ranked entries with a residual of breathing."""
+    if not breaths:
+        return
+    title = f"  {whose}success if breathing moves the tissue by up to"
+    yield f"{title}  " + "  ".join(f"{each.residual_mm:>4g} mm" for each in breaths)
+    for number in range(len(breaths[0].entries)):
+        yield f"  {number + 1:>4}{'':{len(title) - 6}}  " + "  ".join(
+            f"{percent(each.entries[number].value):>7}" for each in breaths
+        )
+
 
 # Upper end of the 95 % interval of the best entry by the table below which others are tried, too.
 _DOUBTFUL = 0.01
-# Options of `plan` that hold in the plane only, with their defaults.
-_PLANE_ONLY: dict[str, object] = {
-    "--needle": None,
-    "--tissue": [],
-    "--accept-units": False,
-    "--push": None,
-    "--edge": None,
-}
+# Options of `plan` that hold in the plane only.
+_PLANE_ONLY = ("--needle", "--tissue", "--accept-units", "--push", "--edge")
 
 
 def run_plan_space(options: argparse.Namespace) -> int:
     """Solve the anatomy, write the table, and return the exit code: 1 if no entry reaches the target, else 0."""
-    for name, default in _PLANE_ONLY.items():
-        value = getattr(options, name.removeprefix("--").replace("-", "_"))
-        if value != default:
-            raise InputError(Mistake(name, str(value), "holds for a scenario in the plane, and this is an anatomy"))
+    require_absent(options, _PLANE_ONLY, "holds for a scenario in the plane, and this is an anatomy")
     from needleplan.anatomy import Anatomy
     from needleplan.planning import entry_map, impossible_message, plan_space, unreached
 

@@ -17,10 +17,9 @@ from itertools import chain
 from typing import TextIO, cast
 
 from needleplan.artifacts.read_files import recorded_reads
-from needleplan.cli.answer import set_quiet
+from needleplan.cli.answer import AnswerStream, OutputFault, RemarkStream, set_quiet
 from needleplan.cli.help_texts import COMMAND_GROUPS, EXAMPLES
 from needleplan.cli.parser import Parser
-from needleplan.cli.streams import AnswerStream, OutputFault, RemarkStream
 from needleplan.errors import InputError
 from needleplan.extras import explained
 

@@ -7,7 +7,7 @@ from dataclasses import asdict
 from typing import Any
 
 from needleplan.cli.answer import complain, print_json
-from needleplan.cli.options import add_answer
+from needleplan.cli.options import add_answer, require_rules
 from needleplan.errors import InputError, Mistake
 
 __all__ = ["REMEDY", "add_to", "require_prompt"]
@@ -40,11 +40,10 @@ def add_to(commands: Any) -> None:
 
 def _run(options: argparse.Namespace) -> int:
     """Measure, write the measurement, print it, and return the exit code: 1 if a limit does not hold, else 0."""
+    from needleplan.config import Number
     from needleplan.control.realtime import measure_promptness, measured_file
 
-    if not 0 < options.seconds <= _LONGEST_S:
-        rule = f"must be above 0 and at most {_LONGEST_S:g} s"
-        raise InputError(Mistake("--seconds", f"{options.seconds:g}", rule))
+    require_rules(options, {"--seconds": Number("s", above=0, at_most=_LONGEST_S)})
     found = measure_promptness(options.seconds, line=options.robot_line == "pty")
     try:
         found.write()

@@ -7,10 +7,9 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from needleplan.cli.answer import complain, note, print_first, print_json, print_summary, working
+from needleplan.cli.answer import complain, note, one_line, print_first, print_json, print_summary, working
 from needleplan.cli.options import add_answer, add_output, add_verify_key, read_table, require_free, require_outputs
 from needleplan.cli.parser import Parser
-from needleplan.cli.streams import one_line
 
 if TYPE_CHECKING:
     from needleplan.recording import Recording

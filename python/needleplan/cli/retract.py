@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import math
 from collections.abc import Callable
 from contextlib import ExitStack
 from typing import TYPE_CHECKING, Any
@@ -11,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 from needleplan.cli.answer import complain, note, print_json, print_summary
 from needleplan.cli.estop import MOVES, EmergencyStop, add_estop, alarm, not_at_rest, require_estop
 from needleplan.cli.interrupt import handled_signals, needle_measured, needle_moves
-from needleplan.cli.options import add_answer, add_limits, safety_limits
-from needleplan.errors import DeviceFault, InputError, Mistake, MotionRefused
+from needleplan.cli.options import add_answer, add_limits, require_rules, safety_limits
+from needleplan.errors import DeviceFault, MotionRefused
 from needleplan.stopping import Rest
 
 if TYPE_CHECKING:
@@ -178,17 +177,13 @@ def _require_rest(
 
 def _require_numbers(options: argparse.Namespace, limits: SafetyLimits) -> None:
     """Raise InputError for numbers that the guard would refuse only after the stage is opened."""
-    mistakes = []
-    if not limits.shallowest_mm <= options.depth <= limits.deepest_mm:
-        rule = f"must be within the limits, from {limits.shallowest_mm:g} to {limits.deepest_mm:g} mm"
-        mistakes.append(Mistake("--depth", f"{options.depth:g}", rule))
-    if not 0 < options.speed <= limits.retraction_velocity_mm_s:
-        rule = f"must be above 0 and at most the limit, {limits.retraction_velocity_mm_s:g} mm/s"
-        mistakes.append(Mistake("--speed", f"{options.speed:g}", rule))
-    if not 0 <= options.wait < math.inf:
-        mistakes.append(Mistake("--wait", f"{options.wait:g}", "must be a number of seconds from 0"))
-    if mistakes:
-        raise InputError(mistakes)
+    from needleplan.config import Number
+
+    require_rules(options, {
+        "--depth": Number("mm, within the limits,", at_least=limits.shallowest_mm, at_most=limits.deepest_mm),
+        "--speed": Number("mm/s, within the limits,", above=0, at_most=limits.retraction_velocity_mm_s),
+        "--wait": Number("s", at_least=0),
+    })  # fmt: skip
 
 
 def _depth(depth_mm: float | None) -> str:

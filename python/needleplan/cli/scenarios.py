@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from needleplan.cli.answer import note, print_json
-from needleplan.cli.options import add_answer, add_output, require_free, require_outputs
+from needleplan.cli.options import add_answer, add_output, require_absent, require_free, require_outputs
 from needleplan.cli.parser import whole
 from needleplan.errors import InputError, Mistake
 
@@ -115,9 +115,7 @@ def _new_anatomy(options: argparse.Namespace) -> int:
     """Write an invented anatomy into the folder NAME and return the exit code 0."""
     from needleplan.anatomy import phantom_files, write_phantom
 
-    for name, value in (("--svg", options.svg), ("--mm-per-unit", options.mm_per_unit), ("--output", options.output)):
-        if value is not None:
-            raise InputError(Mistake(name, str(value), "must not be given with --anatomy"))
+    require_absent(options, ["--svg", "--mm-per-unit", "--output"], "must not be given with --anatomy")
     folder = Path(options.name)
     if folder.is_file():
         raise InputError(Mistake("NAME", options.name, "must be a folder, and is a file"))

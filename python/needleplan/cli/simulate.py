@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from needleplan.cli.answer import note, print_first, print_json, working
-from needleplan.cli.options import add_answer, add_output, require_outputs
+from needleplan.cli.options import add_answer, add_output, require_outputs, require_rules
 from needleplan.cli.parser import whole
-from needleplan.errors import InputError, Mistake
+from needleplan.errors import Mistake
 
 if TYPE_CHECKING:
     from needleplan.simulation import Run
@@ -89,17 +89,14 @@ def _lines(done: Run, title: str) -> Iterator[str]:
 
 
 def _require(options: argparse.Namespace) -> None:
+    from needleplan.config import SEED, Integer
+
     mistakes = []
     if options.output and Path(options.output).suffix.lower() not in _ENDINGS:
         mistakes.append(Mistake("--output", options.output, f"must end in {', '.join(_ENDINGS)}"))
-    if options.seed is not None and not 0 <= options.seed < 2**32:
-        mistakes.append(Mistake("--seed", f"{options.seed}", "must be a whole number from 0, below 2^32"))
-    if not 1 <= options.runs <= 10_000:
-        mistakes.append(Mistake("--runs", f"{options.runs}", "must be a whole number from 1 to 10000"))
     if options.output and Path(options.output).suffix.lower() == _RECORDING and options.runs != 1:
         mistakes.append(Mistake("--runs", f"{options.runs}", "must be 1: a recording holds one run"))
-    if mistakes:
-        raise InputError(mistakes)
+    require_rules(options, {"--seed": SEED, "--runs": Integer(1, 10_000)}, *mistakes)
 
 
 def _summary(done: Run) -> dict[str, Any]:

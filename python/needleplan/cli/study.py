@@ -11,7 +11,7 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 from needleplan.cli.answer import note, percent, print_first, print_json
-from needleplan.cli.options import add_answer, add_figure, require_outputs
+from needleplan.cli.options import add_answer, add_figure, require_outputs, require_rules
 from needleplan.cli.parser import whole
 from needleplan.errors import InputError, Mistake
 
@@ -206,16 +206,15 @@ def _mismatch(table_set: TableSet, options: argparse.Namespace) -> _Found:
 
 def _require_used(options: argparse.Namespace) -> None:
     """Raise InputError if an option is given that the study does not use."""
+    from needleplan.config import Integer
+
     used = _KINDS[options.kind]
     mistakes = []
     for name in sorted({each for names in _KINDS.values() for each in names} - set(used)):
         if getattr(options, name) is not None:
             kinds = " and ".join(kind for kind, names in _KINDS.items() if name in names)
             mistakes.append(Mistake("", f"--{name}", f"is not an option of {options.kind}; it belongs to {kinds}"))
-    if options.runs is not None and options.runs < 1:
-        mistakes.append(Mistake("--runs", str(options.runs), "must be at least 1"))
-    if mistakes:
-        raise InputError(mistakes)
+    require_rules(options, {"--runs": Integer(1, 10**9)}, *mistakes)
 
 
 def _axes(table_set: TableSet, x: str | None, y: str | None) -> tuple[str, str]:

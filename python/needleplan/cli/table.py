@@ -7,7 +7,7 @@ import math
 from typing import Any
 
 from needleplan.cli.anatomy import add_anatomy, is_anatomy, run_anatomy_entries
-from needleplan.cli.answer import by_table, complain, note, percent, print_json, print_summary, working
+from needleplan.cli.answer import by_table, complain, note, one_line, percent, print_json, print_summary, working
 from needleplan.cli.force_library import add_search, is_library, require_no_search, run_info
 from needleplan.cli.interrupt import ended_at_once
 from needleplan.cli.options import (
@@ -24,7 +24,6 @@ from needleplan.cli.options import (
     require_outputs,
 )
 from needleplan.cli.parser import Parser, whole
-from needleplan.cli.streams import one_line
 from needleplan.cli.table_set_info import is_store, run_table_set_info
 from needleplan.cli.uncertainty import add_uncertainty
 from needleplan.errors import ChecksumError

@@ -9,9 +9,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import asdict, replace
 from typing import TYPE_CHECKING, Any
 
-from needleplan.cli.answer import complain, note, percent, print_json, working
-from needleplan.cli.lattice_report import breath_lines, lattice_record, lattice_texts
-from needleplan.cli.streams import one_line
+from needleplan.cli.answer import complain, note, one_line, percent, print_json, working
+from needleplan.cli.plan_space import breath_lines, lattice_record, lattice_texts
 from needleplan.errors import InputError, Mistake
 
 if TYPE_CHECKING:

@@ -18,6 +18,7 @@ The package does not depend on scenarios, models or devices.
 """
 
 from needleplan.config._rules import (
+    SEED,
     Choice,
     Flag,
     Integer,
@@ -46,6 +47,7 @@ from needleplan.config._table import (
     Subtable,
     TableList,
     build,
+    mistakes_of,
     ruled,
     under,
 )
@@ -62,6 +64,7 @@ from needleplan.config._toml import (
 
 __all__ = [
     "REQUIRED",
+    "SEED",
     "Choice",
     "Commented",
     "ConfigTable",
@@ -84,6 +87,7 @@ __all__ = [
     "Violation",
     "build",
     "closest",
+    "mistakes_of",
     "parse_toml",
     "plain",
     "raw_of",

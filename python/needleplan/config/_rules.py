@@ -13,6 +13,7 @@ from typing import Any, Protocol
 from needleplan.errors import Mistake
 
 __all__ = [
+    "SEED",
     "Choice",
     "Flag",
     "Integer",
@@ -105,6 +106,10 @@ class Integer:
 
     def __str__(self) -> str:
         return f"{'an odd' if self.odd else 'a'} whole number from {self.at_least} to {self.at_most}"
+
+
+SEED = Integer(0, 2**32 - 1)
+"""Rule for the seed of a random generator."""
 
 
 @dataclass(frozen=True)

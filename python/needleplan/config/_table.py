@@ -23,6 +23,7 @@ __all__ = [
     "build",
     "examine",
     "key_of",
+    "mistakes_of",
     "ruled",
     "under",
 ]
@@ -199,6 +200,33 @@ def build(kind: type[_T], raw: Mapping[str, object]) -> _T:
     made = object.__new__(kind)  # __post_init__ would check all rules a second time
     _fill(made, raw)
     return made
+
+
+def mistakes_of(owner: object, rules: Mapping[str, Rule]) -> list[Mistake]:
+    """Return the mistakes of single attributes of an object.
+
+    Parameters
+    ----------
+    owner : object
+        Object, such as the options of a command.
+    rules : mapping
+        Rules by the name of the attribute, or of the option such as `--entry-depth`. An option that was not given
+        (None) has no mistake.
+
+    Returns
+    -------
+    list of Mistake
+    """
+    mistakes: list[Mistake] = []
+    for name, rule in rules.items():
+        value = getattr(owner, name.removeprefix("--").replace("-", "_"))
+        if value is None and name.startswith("--"):
+            continue
+        try:
+            rule.read(value)
+        except Violation as broken:
+            mistakes += under(name, broken.mistakes)
+    return mistakes
 
 
 def under(key: str, mistakes: Iterable[Mistake]) -> Iterator[Mistake]:

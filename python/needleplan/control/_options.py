@@ -5,10 +5,11 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, fields, replace
-from typing import TYPE_CHECKING, Any, Self
+from dataclasses import asdict, dataclass, field, replace
+from typing import Any, Self
 
 from needleplan.artifacts import CallRepr
+from needleplan.config import Integer, Number, Rule, mistakes_of
 from needleplan.control._gate import BreathGate
 from needleplan.control.safety import SafetyLimits
 from needleplan.errors import DataError, InputError, Mistake
@@ -20,14 +21,20 @@ from needleplan.models.path import ImagePlane
 from needleplan.models.tissue import NeedlePush, TargetPush
 from needleplan.planning import Table, planned_noise
 
-if TYPE_CHECKING:
-    pass
-
 __all__ = ["Options", "RunSetup", "planned_tip_settings"]
 
 _POSITIVE = (
     "velocity_mm_s", "velocity_rad_s", "longest_mm", "needle_length_mm", "silence_s", "replan_deviations",
 )  # fmt: skip
+_NOT_NEGATIVE = ("lead_s", "replan_share", "resume_s", "roll_tolerance_rad", "settling_frames")
+_RULES: dict[str, Rule] = {
+    **dict.fromkeys(_POSITIVE, Number(above=0)),
+    **dict.fromkeys(_NOT_NEGATIVE, Number(at_least=0)),
+    **dict.fromkeys(("entry_depth_mm", "roll_left_rad", "start_within_mm", "start_within_rad"), Number()),
+    "decisions_per_step": Integer(1, 100),
+    "plane_roll_rad": Number("rad", at_least=0, at_most=1),
+    "least_success": Number(at_least=0, at_most=1),
+}
 _OPTIONS, _LIMITS, _TIP, _REGISTRATION = "options.json", "limits.json", "tip_settings.json", "registration.toml"
 _ACCEPTED = "accepted_limits.txt"
 _FIBRE, _PLANE = "fibre.json", "ultrasound.json"
@@ -126,23 +133,7 @@ class Options(CallRepr):
     """Unit vector in the frame of the force sensor, in the direction of a force that resists insertion."""
 
     def __post_init__(self) -> None:
-        mistakes = [
-            Mistake(name, f"{getattr(self, name):g}", "must be a number above 0")
-            for name in _POSITIVE if not 0 < getattr(self, name) < math.inf
-        ]  # fmt: skip
-        for option in fields(self):
-            value = getattr(self, option.name)
-            if option.name not in _POSITIVE and isinstance(value, float) and not math.isfinite(value):
-                mistakes.append(Mistake(option.name, f"{value:g}", "must be a finite number"))
-        for name in ("lead_s", "replan_share", "resume_s", "roll_tolerance_rad", "settling_frames"):
-            if getattr(self, name) < 0:
-                mistakes.append(Mistake(name, f"{getattr(self, name):g}", "must be at least 0"))
-        if not 1 <= self.decisions_per_step <= 100:
-            mistakes.append(Mistake("decisions_per_step", f"{self.decisions_per_step}", "must be from 1 to 100"))
-        if not 0 <= self.plane_roll_rad <= 1:
-            mistakes.append(Mistake("plane_roll_rad", f"{self.plane_roll_rad:g}", "must be from 0 to 1 rad"))
-        if not 0 <= self.least_success <= 1:
-            mistakes.append(Mistake("least_success", f"{self.least_success:g}", "must be from 0 to 1"))
+        mistakes = mistakes_of(self, _RULES)
         length = math.hypot(*self.force_axis)
         if not 0.999 < length < 1.001:
             mistakes.append(Mistake("force_axis", str(self.force_axis), "must be a vector of length 1"))

@@ -9,14 +9,16 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from types import TracebackType
-from typing import Protocol, Self
+from typing import ClassVar, Protocol, Self
 
 from needleplan.artifacts import CallRepr
 from needleplan.devices.supervision import StageSupervisor
+from needleplan.errors import LinkClosed
 
 __all__ = [
     "Closing",
@@ -49,6 +51,15 @@ class Closing(ABC):
     @abstractmethod
     def close(self) -> None:
         """Release all resources; closing again does nothing."""
+
+    @contextmanager
+    def closed_if_failing(self) -> Iterator[None]:
+        """Close the object if the block fails, as at the end of a constructor."""
+        try:
+            yield
+        except BaseException:
+            self.close()
+            raise
 
     def __enter__(self) -> Self:
         return self
@@ -160,15 +171,25 @@ class StageSample(CallRepr):
 
 
 class Device(Closing):
-    """Abstract base of all devices."""
+    """Abstract base of all devices; `noun` names the device in messages."""
+
+    noun: ClassVar[str] = "device"
+    _closed: bool = False
 
     @abstractmethod
     def close(self) -> None:
         """Release the device; a stage stops first. Closing again does nothing."""
 
+    def _require_open(self) -> None:
+        """Raise LinkClosed after `close`."""
+        if self._closed:
+            raise LinkClosed(f"the {self.noun} is closed")
+
 
 class Stage(Device):
     """Abstract stage, which inserts and rotates the needle. Only one controller at a time may command it."""
+
+    noun = "stage"
 
     @abstractmethod
     def insert(self, depth_mm: float, velocity_mm_s: float) -> None:
@@ -253,6 +274,8 @@ class Stage(Device):
 class ForceSensor(Device):
     """Abstract force sensor: measures the wrench at the base of the needle."""
 
+    noun = "force sensor"
+
     @abstractmethod
     def bias(self) -> None:
         """Define the present wrench as zero for all later samples. Raises DeviceFault."""
@@ -264,6 +287,8 @@ class ForceSensor(Device):
 
 class Tracker(Device):
     """Abstract tracker: measures the pose of a coil in the tip of the needle."""
+
+    noun = "tracker"
 
     @abstractmethod
     def read(self, timeout_s: float) -> PoseSample | None:

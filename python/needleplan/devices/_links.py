@@ -203,8 +203,6 @@ class SerialLink(Link):
     """
 
     def __init__(self, path: str, baud: int = 9600) -> None:
-        if baud <= 0:
-            raise AddressError(Mistake("baud", str(baud), "must be positive"))
         self.path = path
         if not Path(path).exists():
             raise DeviceFault(f"serial://{path}: there is no such port")

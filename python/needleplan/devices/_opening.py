@@ -12,13 +12,18 @@ from typing import TypeVar
 from urllib.parse import parse_qsl, urlsplit
 
 from needleplan.artifacts import CallRepr
-from needleplan.config import suggestion
+from needleplan.config import Integer, Number, Rule, Violation, suggestion
 from needleplan.devices._links import Link, SerialLink, TcpLink, UdpLink
 from needleplan.errors import AddressError, Mistake
 
-__all__ = ["Address", "open_link", "require_called_heartbeat"]
+__all__ = ["BAUDS", "LAST_PORT", "Address", "open_link"]
 
-_LAST_PORT = 65_535
+LAST_PORT = 65_535
+"""Largest number of a port."""
+
+BAUDS = Integer(1, 10_000_000)
+"""Rule for the speed of a serial line."""
+
 _T = TypeVar("_T")
 
 
@@ -63,7 +68,7 @@ class Address(CallRepr):
         port = default_port if self.port is None else self.port
         if not self.host:
             raise AddressError(Mistake("address", str(self), f"must name a host: {self.scheme}://host:port"))
-        if port is None or not 0 < port <= _LAST_PORT:
+        if port is None or not 0 < port <= LAST_PORT:
             raise AddressError(
                 Mistake("address", str(self), f"must name a port from 1 to 65535: {self.scheme}://host:port")
             )
@@ -71,35 +76,36 @@ class Address(CallRepr):
             raise AddressError(Mistake("address", str(self), "must not have a path after the port"))
         return self.host, port
 
-    def option(self, name: str, read: Callable[[str], _T], default: _T) -> _T:
-        """Return a converted option of the address.
+    def option(self, name: str, rule: Rule, default: _T) -> _T:
+        """Return an option of the address that a rule reads.
 
         Parameters
         ----------
         name : str
             Name of the option.
-        read : callable
-            Function that converts the text of the option.
+        rule : Integer, Number or Choice
+            Rule for the value.
         default : object
             Result if the address has no such option.
 
         Returns
         -------
         object
-            Result of `read`, or `default`.
+            The value, or `default`.
 
         Raises
         ------
         AddressError
-            `read` raises ValueError or KeyError.
+            The text of the option does not obey the rule.
         """
         if name not in self.options:
             return default
+        text, kind = self.options[name], {Integer: int, Number: float}.get(type(rule), str)
         try:
-            return read(self.options[name])
-        except (ValueError, KeyError) as error:
-            rule = f"is not a permitted value of the option {name}"
-            raise AddressError(Mistake(name, self.options[name], rule), str(self)) from error
+            value: _T = rule.read(kind(text))
+        except (ValueError, Violation):
+            raise AddressError(Mistake(name, text, f"must be {rule}"), str(self)) from None
+        return value
 
     def only(self, known: Collection[str]) -> None:
         """Raise AddressError, with the known options and a suggestion, if an option is not in `known`."""
@@ -117,18 +123,6 @@ class Address(CallRepr):
         port = "" if self.port is None else f":{self.port}"
         options = "&".join(f"{name}={value}" for name, value in self.options.items())
         return f"{self.scheme}://{host}{port}{self.path}{'?' if options else ''}{options}"
-
-
-def require_called_heartbeat(address: Address) -> None:
-    """Raise AddressError if the address has the option `alive` with another value than `calls`.
-
-    In earlier versions, `alive=reading` let every read of the stage count as a heartbeat; now only calls of `heartbeat`
-    count. `alive=calls` is still accepted for older scripts.
-    """
-    asked = address.options.get("alive", "calls")
-    if asked != "calls":
-        rule = "must be calls: reading does not send heartbeats; call heartbeat() in the control loop"
-        raise AddressError(Mistake("alive", asked, rule), str(address))
 
 
 def open_link(address: str | Address, default_port: int | None = None) -> Link:
@@ -166,19 +160,13 @@ def open_link(address: str | Address, default_port: int | None = None) -> Link:
 def _udp(address: Address, default_port: int | None) -> Link:
     address.only(("local_port",))
     host, port = address.network(default_port)
-    local_port = address.option("local_port", int, 0)
-    if not 0 <= local_port <= 65_535:
-        raise AddressError(Mistake("local_port", str(local_port), "must be from 0 to 65535"), str(address))
-    return UdpLink(host, port, local_port)
+    return UdpLink(host, port, address.option("local_port", Integer(0, LAST_PORT), 0))
 
 
 def _tcp(address: Address, default_port: int | None) -> Link:
     address.only(("timeout_s",))
     host, port = address.network(default_port)
-    timeout_s = address.option("timeout_s", float, 3.0)
-    if not 0 < timeout_s < 3600:
-        raise AddressError(Mistake("timeout_s", str(timeout_s), "must be positive, less than an hour"), str(address))
-    return TcpLink(host, port, timeout_s)
+    return TcpLink(host, port, address.option("timeout_s", Number("s", above=0, at_most=3600), 3.0))
 
 
 def _serial(address: Address, _: int | None) -> Link:
@@ -186,7 +174,7 @@ def _serial(address: Address, _: int | None) -> Link:
     if address.host or address.port is not None or len(address.path) < 2:
         rule = "must name a port of this machine after three slashes: serial:///dev/ttyUSB0"
         raise AddressError(Mistake("address", str(address), rule))
-    return SerialLink(address.path, address.option("baud", int, 9600))
+    return SerialLink(address.path, address.option("baud", BAUDS, 9600))
 
 
 _OPENERS: dict[str, Callable[[Address, int | None], Link]] = {"udp": _udp, "tcp": _tcp, "serial": _serial}

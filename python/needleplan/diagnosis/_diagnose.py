@@ -238,9 +238,10 @@ def _kept(found: Diagnosis) -> Iterator[str]:
     if found.keeps_given:
         unit, which = UNITS[found.given.channel.columns[0]], "held-out" if found.checked.held_out else "training"
         before, after = (f"{found.held_out_rms(model):.3g} {unit}" for model in (found.given, found.base))
+        cause = "the trials differ" if found.verdict is Verdict.CHANGED else "what has no name distorts it"
         yield (
-            f"what has no name distorts the calibrated base: it predicts the {which} trials worse (RMS {after}) than "
-            f"the given base ({before}), which is kept"
+            f"the calibrated base predicts the {which} trials worse (RMS {after}) than the given base ({before}), "
+            f"which is kept: {cause}"
         )
 
 

@@ -192,11 +192,11 @@ class Diagnosis(ShortRepr):
 
     @cached_property
     def keeps_given(self) -> bool:
-        """Whether a gap without a name distorts the calibrated base, so that the given one predicts better.
+        """Whether the given model predicts better than the calibrated one, which a gap without a name may distort.
 
         They predict the held-out trials or, without any, the training trials.
         """
-        if self.verdict in (Verdict.NAMED, Verdict.NONE, Verdict.UNDERPOWERED, Verdict.CHANGED):
+        if self.verdict in (Verdict.NAMED, Verdict.NONE, Verdict.UNDERPOWERED):
             return False
         return self.held_out_rms(self.given) < self.held_out_rms(self.base)
 
@@ -238,7 +238,7 @@ class Diagnosis(ShortRepr):
             If the answer is not NAMED and `anyway` is false.
         """
         if self.verdict is Verdict.CHANGED:
-            return self.base
+            return self.model
         if self.verdict is not Verdict.NAMED and not anyway:
             rule = "only named effects are added to a model; use anyway=True (--merge-anyway) to add others"
             raise ModelError(Mistake("verdict", self.verdict, rule), "diagnosis")

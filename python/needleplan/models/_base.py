@@ -33,7 +33,7 @@ from needleplan.errors import Mistake, ModelError
 from needleplan.models._parameter import Parameter, parameter_section, parameters_of
 from needleplan.signals import Array, Motion
 
-__all__ = ["Channel", "LinearStateModel", "Model", "SelfIntegratingModel"]
+__all__ = ["Channel", "LinearStateModel", "Model", "SelfIntegratingModel", "WrappingModel"]
 
 
 class Channel(StrEnum):
@@ -261,3 +261,14 @@ class SelfIntegratingModel(Model):
             The step has to be integrated for each state alone.
         """
         raise NotImplementedError
+
+
+class WrappingModel(SelfIntegratingModel):
+    """Abstract base class of models around another model, `base`, with the channel of that model."""
+
+    base: Model
+
+    @property
+    def channel(self) -> Channel:  # type: ignore[override]
+        """The channel of the base model."""
+        return self.base.channel

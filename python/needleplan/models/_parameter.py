@@ -212,6 +212,9 @@ def parameter_section(kind: type) -> str:
             declared_parameter: Parameter = field.metadata["parameter"]
             unit = f", {declared_parameter.unit}" if declared_parameter.unit else ""
             rows.append(f"{name} : float{given}\n    {declared_parameter.about}{unit}")
+        elif isinstance(field, dataclasses.Field) and "about" in field.metadata:
+            kind_of = str(annotations.get(name, field.type)).removesuffix(" | None")
+            rows.append(f"{name} : {kind_of}{given}\n    {field.metadata['about']}")
         elif isinstance(default, StrEnum):
             summary = (type(default).__doc__ or "").splitlines()[0]
             rows.append(f"{name} : {type(default).__name__}{given}\n    {summary}")

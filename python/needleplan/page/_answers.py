@@ -10,15 +10,23 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from needleplan.config import raw_of
-from needleplan.errors import InputError, Mistake, PoseError
-from needleplan.page._export import page_html
+from needleplan.config import Integer, raw_of
+from needleplan.errors import Mistake, PoseError
 from needleplan.page._files import LANGUAGES, PageFiles
-from needleplan.page._packing import pack, plain, shares
 from needleplan.page._queue import PlanQueue
-from needleplan.page._recorded import recorded_plan, track_message
-from needleplan.page._requests import Request, best_success, draft_of, scenario_of, start_of
-from needleplan.page._risk import nearest_risk
+from needleplan.page._recorded import nearest_risk, recorded_plan, track_message
+from needleplan.page._requests import (
+    Request,
+    best_success,
+    draft_of,
+    pack,
+    page_html,
+    plain,
+    scenario_of,
+    shares,
+    start_of,
+    value_of,
+)
 from needleplan.planning import Outcome, Pose, resolution_of
 from needleplan.scenario import Scenario, shipped
 
@@ -207,9 +215,7 @@ class Page(InsertingPage):
         """Return the message on executions with tip noise: predicted and realised success, and some executions."""
         table = self.table_of(request)
         start, _ = start_of(request, table)
-        runs = request.get("runs", 2000)
-        if not isinstance(runs, int) or not 1 <= runs <= _MOST_RUNS:
-            raise InputError(Mistake("runs", f"{runs}", f"must be a whole number from 1 to {_MOST_RUNS:,}"))
+        runs = value_of(request, "runs", Integer(1, _MOST_RUNS), 2000)
         found = table.rollout(start, runs)
         header = {
             "plan": table.scenario.digest,

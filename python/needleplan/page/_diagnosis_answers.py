@@ -10,9 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from needleplan.errors import DataError, InputError, Mistake
-from needleplan.page._export import page_html
 from needleplan.page._files import LANGUAGES
-from needleplan.page._packing import pack
+from needleplan.page._requests import pack, page_html
 
 if TYPE_CHECKING:
     from collections.abc import Callable

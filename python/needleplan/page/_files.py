@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING
 
 from needleplan.config import raw_of
 from needleplan.errors import InputError, Mistake, ScenarioError
-from needleplan.page._packing import pack, plain
-from needleplan.page._requests import Request, scenario_of, start_of
+from needleplan.page._requests import Request, pack, plain, scenario_of, start_of
 from needleplan.planning import draw_plan
 from needleplan.scenario import Scenario, shipped
 

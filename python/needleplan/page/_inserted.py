@@ -9,12 +9,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from needleplan.config import SEED, Number
 from needleplan.control import ExecutedStep, Insertion, Listener, Options, RunEvent
 from needleplan.control.safety import SafetyLimits
 from needleplan.devices import ForceSample, Sample
-from needleplan.errors import InputError, Mistake, NeedleplanError
+from needleplan.errors import NeedleplanError
 from needleplan.page._recorded import packed_track
 from needleplan.page._recorded_space import packed_space_track
+from needleplan.page._requests import value_of
 from needleplan.planning import PolicyTable, Pose, SpacePose, SpaceTable, Table
 from needleplan.simulation import Simulation, simulated_station
 
@@ -28,9 +30,8 @@ __all__ = ["LabTwin"]
 
 # The simulation whose robot, sensors, needle and effects the lab twin has: that of `needleplan insert`.
 _SIMULATION = "steering"
-# Largest share by which the true curvature may differ from the planned one; beyond, few targets can be reached.
-_LARGEST_ERROR = 0.5
-_LARGEST_SEED = 2**32 - 1
+# Share by which the needle may bend more or less than planned.
+_ERROR = Number(at_least=-0.5, at_most=0.5)
 
 
 class LabTwin:
@@ -57,15 +58,11 @@ class LabTwin:
         InputError
             If seed or share are outside of their range.
         """
-        seed, error = request.get("seed", 0), request.get("curvature_error", 0.0)
-        if not isinstance(seed, int) or isinstance(seed, bool) or not 0 <= seed <= _LARGEST_SEED:
-            raise InputError(Mistake("seed", f"{seed}", f"must be a whole number from 0 to {_LARGEST_SEED}"))
-        if not isinstance(error, (int, float)) or not abs(error) <= _LARGEST_ERROR:
-            rule = f"must be a number from {-_LARGEST_ERROR:g} to {_LARGEST_ERROR:g}"
-            raise InputError(Mistake("curvature_error", f"{error}", rule))
+        seed = value_of(request, "seed", SEED, 0)
+        error = value_of(request, "curvature_error", _ERROR, 0.0)
         with self._changed:
             self._stop()
-            self._run = _twin_run(table, start, seed, float(error))
+            self._run = _twin_run(table, start, seed, error)
             self._run.start()
 
     def state(self) -> bytes | None:

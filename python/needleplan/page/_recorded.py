@@ -1,4 +1,7 @@
-"""A recorded insertion for the page: the path of the tip, the axial force, decisions and events over time."""
+"""A recorded insertion for the page: the path of the tip, the axial force, decisions and events over time.
+
+Distances of paths and tips from the obstacles of a plan in a plane, for the page.
+"""
 
 from __future__ import annotations
 
@@ -7,8 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from needleplan.errors import DataError
-from needleplan.page._packing import pack
-from needleplan.page._risk import risk_distances
+from needleplan.page._requests import pack
 from needleplan.page._sensed import Sensed
 from needleplan.planning import Pose
 from needleplan.scenario import Scenario
@@ -20,7 +22,61 @@ if TYPE_CHECKING:
 
     from needleplan.recording import Recording
 
-__all__ = ["force_along", "messages_of", "packed_track", "recorded_plan", "thinned", "track_message"]
+__all__ = [
+    "force_along",
+    "messages_of",
+    "nearest_risk",
+    "packed_track",
+    "recorded_plan",
+    "risk_distances",
+    "thinned",
+    "track_message",
+]
+
+
+def risk_distances(scenario: Scenario, points_mm: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the distances (mm) of points from each obstacle, shape (obstacles, n); 0 in an obstacle.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        The scenario, whose obstacles are taken without their margins.
+    points_mm : numpy.ndarray
+        Points of the centre line of the needle, shape (n, 2).
+
+    Returns
+    -------
+    numpy.ndarray
+    """
+    import shapely
+
+    points = shapely.points(points_mm[:, :2])
+    rows = [shapely.distance(obstacle.region(), points) for obstacle in scenario.obstacles]
+    return np.array(rows, np.float64).reshape(len(rows), len(points_mm))
+
+
+def nearest_risk(scenario: Scenario, points_mm: NDArray[np.float64]) -> dict[str, Any] | None:
+    """Return name and distance (mm) of the obstacle that points come closest to; None without obstacles.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        The scenario.
+    points_mm : numpy.ndarray
+        Points along a path, shape (n, 2).
+
+    Returns
+    -------
+    dict or None
+        `name`, "obstacle" with its name or number, and `distance_mm`.
+    """
+    least = risk_distances(scenario, points_mm).min(1, initial=np.inf)
+    if not len(least):
+        return None
+    number = int(least.argmin())
+    name = scenario.obstacles[number].name or number + 1
+    return {"name": f"obstacle {name}", "distance_mm": float(least[number])}
+
 
 # Largest number of samples of a curve that the page draws; between them samples are left out.
 _MOST_SAMPLES = 4000

@@ -9,8 +9,8 @@ import numpy as np
 
 from needleplan.anatomy import Anatomy, AnatomyFile, SpaceScenario
 from needleplan.errors import DataError, Mistake
-from needleplan.page._packing import pack
 from needleplan.page._recorded import force_along, messages_of, thinned
+from needleplan.page._requests import pack
 from needleplan.page._sensed import Sensed
 from needleplan.planning import Action, SpacePose, SpaceTable
 

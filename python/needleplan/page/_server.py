@@ -12,9 +12,8 @@ from needleplan.errors import InputError, Mistake
 from needleplan.page._access import Guard
 from needleplan.page._answers import Page, Unknown
 from needleplan.page._diagnosis_answers import DiagnosisPage
-from needleplan.page._export import STATIC
 from needleplan.page._queue import Superseded
-from needleplan.page._requests import Request
+from needleplan.page._requests import STATIC, Request
 from needleplan.page._space_answers import SpacePage
 
 if TYPE_CHECKING:

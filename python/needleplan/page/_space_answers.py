@@ -12,15 +12,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from needleplan.anatomy import OBSTACLE, OUTSIDE, TARGET, SpaceScenario, nearest_labels
+from needleplan.config import Integer
 from needleplan.errors import InputError, Mistake
 from needleplan.page._answers import InsertingPage, Unknown
-from needleplan.page._export import page_html
 from needleplan.page._files import LANGUAGES
-from needleplan.page._packing import pack
-from needleplan.page._requests import Request
-from needleplan.page._space_code import SpaceCode
-from needleplan.page._space_maps import SpaceMaps
-from needleplan.page._surface import surface
+from needleplan.page._requests import Request, pack, page_html, value_of
+from needleplan.page._space_maps import SpaceCode, SpaceMaps, surface
 from needleplan.planning import SpacePose, SpaceTable, Uncertainty, entries_vtp, markups_text, success_bytes
 
 if TYPE_CHECKING:
@@ -217,11 +214,7 @@ class SpacePage(InsertingPage):
     def _number(self, request: Request) -> int:
         """Return the number of the entry in a request; the default is the best entry. Raises InputError."""
         entries = self._maps.of(request)
-        number = request.get("number", entries.first())
-        if not isinstance(number, int) or isinstance(number, bool) or not 0 <= number < len(entries.success):
-            rule = f"must be a whole number from 0 to {len(entries.success) - 1}"
-            raise InputError(Mistake("number", f"{number}", rule))
-        return number
+        return int(value_of(request, "number", Integer(0, len(entries.success) - 1), entries.first()))
 
     def recording(self, _: Request) -> bytes:
         """Return the message on the recorded insertion. Raises Unknown if none was opened."""

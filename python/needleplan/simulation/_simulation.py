@@ -9,9 +9,9 @@ from pathlib import Path
 
 from needleplan.artifacts import ShortRepr, digest
 from needleplan.config import (
+    SEED,
     Choice,
     ConfigTable,
-    Integer,
     Keyed,
     Maybe,
     Subtable,
@@ -174,7 +174,7 @@ class _SimulationTable(
     between=(_curvature_is_given_once, *BETWEEN, _moves_fit),
 ):
     title: str = ruled(Text(), "")
-    seed: int = ruled(Integer(0, 2**32 - 1), 0)
+    seed: int = ruled(SEED, 0)
     scenario: Scenario | None = ruled(_ScenarioRule(), None)
     entry: SimulatedEntry = ruled(Subtable(SimulatedEntry), SimulatedEntry())
     tissue: SimulatedTissue = ruled(Subtable(SimulatedTissue), SimulatedTissue())

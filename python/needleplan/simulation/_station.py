@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
+from needleplan.config import SEED
 from needleplan.devices import Address, Source, Station, open_station, require_schemes
 from needleplan.errors import AddressError, Mistake
 from needleplan.models import Torsion
@@ -158,10 +159,8 @@ def open_insertion_station(
         return open_station(robot, force, tracker, motion)
     address = Address.parse(robot)
     address.only(("seed",))
-    seed = address.option("seed", int, -1)
-    if seed < -1 or (seed == -1 and "seed" in address.options):
-        raise AddressError(Mistake("seed", str(seed), "must be a whole number from 0"), str(address))
-    return simulated_station(_simulation_at(robot), table, start, None if seed == -1 else seed)
+    seed = address.option("seed", SEED, None)
+    return simulated_station(_simulation_at(robot), table, start, seed)
 
 
 def simulated_coil_mm(address: str) -> float:

@@ -29,9 +29,8 @@ from needleplan.sweep._study_figures import (
 )
 from needleplan.sweep._study_rules import QUANTITIES, levels_of, selected, tables_text, varying
 from needleplan.sweep._sweep import Design, Keep, Sweep, SweepEntry, shipped_sweeps
-from needleplan.sweep._swept_parameter import RangeScale, SweptParameter
+from needleplan.sweep._swept_parameter import RangeScale, SweptParameter, value_text, values_text
 from needleplan.sweep._table_set import TableSet, TableSetEntry
-from needleplan.sweep._texts import value_text, values_text
 
 __all__ = [
     "GOALS",

@@ -15,7 +15,7 @@ from needleplan.sweep._engine import Engine, run_tasks
 from needleplan.sweep._points import SweepPoint, points_of
 from needleplan.sweep._store import RecordWriter, TableSetStore, address_of
 from needleplan.sweep._sweep import Keep, Sweep
-from needleplan.sweep._texts import values_text
+from needleplan.sweep._swept_parameter import values_text
 from needleplan.sweep._work import TableTask, TaskResult
 
 __all__ = ["TableSetReport", "make_table_set"]

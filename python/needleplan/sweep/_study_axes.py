@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from needleplan.sweep._study_rules import levels_of, tables_text
+from needleplan.sweep._swept_parameter import name_and_unit, words_and_unit
 from needleplan.sweep._table_set import TableSet
-from needleplan.sweep._texts import name_and_unit, words_and_unit
 
 __all__ = ["CellAxis", "axis_title", "cell_axis", "heading", "level_text"]
 

@@ -18,7 +18,7 @@ from needleplan.scenario import Scenario
 from needleplan.sweep._points import scenario_with
 from needleplan.sweep._store import StoredPoint, TableSetStore
 from needleplan.sweep._sweep import Design, Keep, Sweep
-from needleplan.sweep._texts import record_unit, values_text, words_and_unit
+from needleplan.sweep._swept_parameter import record_unit, values_text, words_and_unit
 
 if TYPE_CHECKING:
     import pandas

@@ -11,7 +11,6 @@ from needleplan.devices.robot import (
     MotionLimits,
     RobotLimits,
     RobotMachine,
-    RobotNetwork,
     RobotStage,
     RobotTiming,
     SteadyDrive,
@@ -19,6 +18,7 @@ from needleplan.devices.robot import (
 from needleplan.devices.robot.messages import Answer, Head, Result, RobotCommand, RobotKind, decode, encode
 from needleplan.errors import DeviceFault
 from tests.devices.contract import heard_and_read
+from tests.devices.robot.network import RobotNetwork
 
 
 class Bench:

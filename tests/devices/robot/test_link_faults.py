@@ -13,10 +13,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from needleplan.devices.robot import Fault, RobotMachine, RobotNetwork, RobotStage, RobotState, RobotTiming, SteadyDrive
+from needleplan.devices.robot import Fault, RobotMachine, RobotStage, RobotState, RobotTiming, SteadyDrive
 from needleplan.devices.robot.messages import Answer, Head, Hello, Result, RobotCommand, RobotKind, decode, encode
 from needleplan.errors import DeviceFault
 from tests.devices.robot.bench import Bench, at_rest, fault_of, moving, next_of, raw, result_of, stands_still
+from tests.devices.robot.network import RobotNetwork
 
 MS = 1e-3
 

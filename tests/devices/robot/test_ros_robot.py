@@ -14,8 +14,9 @@ import pytest
 
 import needleplan
 from needleplan.devices import VirtualClock
-from needleplan.devices.robot import Fault, RobotMachine, RobotNetwork
+from needleplan.devices.robot import Fault, RobotMachine
 from needleplan.devices.robot.conformance import ConformanceVerdict, RobotBench, try_cases
+from tests.devices.robot.network import RobotNetwork
 
 CASES = ("insert", "rotate", "redirect", "stop", "stop-in-rotation", "goodbye", "watchdog", "limits")
 

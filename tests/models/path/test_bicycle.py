@@ -8,7 +8,7 @@ from scipy.interpolate import CubicHermiteSpline
 from needleplan.errors import ModelError
 from needleplan.models import Bicycle, Torsion, arc_step, fit, simulate
 from needleplan.models._simulate import _kutta
-from needleplan.models.path._torsion import dragged
+from needleplan.models.path._twist import dragged
 from needleplan.signals import Array, Motion, Record
 
 

@@ -11,7 +11,7 @@ from needleplan.errors import ModelError
 from needleplan.models import LinearStateModel, parameter, simulate
 from needleplan.models.friction import Beta, LumpedLuGre, Profile
 from needleplan.models.tissue import AveragedOnTissue, LumpedOnTissue, MovingTissue, PointwiseLaw
-from needleplan.models.tissue._stepping import first_root
+from needleplan.models.tissue._moving import first_root
 from needleplan.signals import Array, Motion, lag_rad, sinusoid
 from needleplan_thesis.chapter3.published import MODEL_II
 

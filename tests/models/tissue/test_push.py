@@ -138,7 +138,7 @@ def test_directions() -> None:
 
 
 def test_a_material_that_grows_in_pressure_is_refused() -> None:
-    with pytest.raises(ModelError, match=r"poisson = 0.6: must be from 0 to 0.5"):
+    with pytest.raises(ModelError, match=r"poisson = 0.6: must be a finite number at least 0 and at most 0.5"):
         NeedlePush(G, RADIUS, poisson=0.6)
 
 

@@ -15,10 +15,11 @@ from dataclasses import dataclass, field
 from statistics import fmean, pstdev
 
 from needleplan.artifacts import CallRepr
+from needleplan.config import Integer
 from needleplan.devices._base import ForceSample, ForceSensor, Health, Stamp
 from needleplan.devices._clock import Clock, Deadline, SystemClock
 from needleplan.devices._links import Link, UdpLink
-from needleplan.devices._opening import Address, open_link
+from needleplan.devices._opening import LAST_PORT, Address, open_link
 from needleplan.devices.ati._bias import BiasWatch, Poll
 from needleplan.devices.ati._configuration import Configuration, fetch_configuration
 from needleplan.devices.ati.rdt import (
@@ -129,11 +130,8 @@ class NetFt(ForceSensor):
 
         self._poll: Poll | None = None
         self._configuration: Configuration
-        try:
+        with self.closed_if_failing():
             self.start()
-        except BaseException:
-            self.close()
-            raise
 
     @classmethod
     def open(cls, address: str, *, limits: ForceLimits | None = None) -> NetFt:
@@ -153,14 +151,11 @@ class NetFt(ForceSensor):
             raise AddressError(Mistake("address", address, "a Net F/T is reached by udp://host"))
         parsed.only(("http_port", "slot", "local_port"))
         host, port = parsed.network(RDT_PORT)
-        http_port = parsed.option("http_port", int, 80)
-        slot = parsed.option("slot", int, -1)
-        if not -1 <= slot < 16:
-            raise AddressError(Mistake("slot", str(slot), "must be from 0 to 15"), address)
-        _, http_port = Address("http", host, http_port).network()
+        http_port = parsed.option("http_port", Integer(1, LAST_PORT), 80)
+        slot = parsed.option("slot", Integer(0, 15), None)
         local = {name: value for name, value in parsed.options.items() if name == "local_port"}
         link = open_link(Address("udp", host, port, options=local))
-        sensor = cls(link, lambda: fetch_configuration(host, http_port, None if slot < 0 else slot), limits=limits)
+        sensor = cls(link, lambda: fetch_configuration(host, http_port, slot), limits=limits)
         sensor._poll = Poll(sensor.check_configuration, sensor.limits.poll_s)
         return sensor
 
@@ -231,8 +226,7 @@ class NetFt(ForceSensor):
         Raises DeviceFault if the sensor cannot be used, and then at every call until `start`. Raises LinkClosed if the
         link is closed.
         """
-        if self._closed:
-            raise LinkClosed("the force sensor is closed")
+        self._require_open()
         if self._fault is not None:
             raise self._fault
         deadline = Deadline(self._clock, timeout_s)

@@ -257,7 +257,3 @@ def _pages(box: NetFtBox) -> type[BaseHTTPRequestHandler]:
             del format, args
 
     return _Page
-
-
-_HERE = ("in this process", 0)
-_NANO = 1_000_000_000

@@ -11,14 +11,15 @@ import queue
 import threading
 from dataclasses import replace
 
+from needleplan.config import Integer, Number
 from needleplan.devices._base import Stage, StageSample
 from needleplan.devices._clock import Clock, Deadline, SystemClock
-from needleplan.devices._opening import Address, require_called_heartbeat
+from needleplan.devices._opening import Address
 from needleplan.devices.cia402._axes import Cia402Axis, DriveTiming, Rounds
 from needleplan.devices.cia402._drive import CanBus, Cia402Drive, Frame
 from needleplan.devices.cia402.objects import Cia402Entry, Service, decode_emergency
 from needleplan.devices.cia402.setup import DrivesSetup
-from needleplan.errors import AddressError, DeviceFault, LinkClosed, Mistake
+from needleplan.errors import AddressError, DeviceFault, Mistake
 
 __all__ = ["CanopenStage"]
 
@@ -46,16 +47,13 @@ class CanopenStage(Stage):
         self._beat_ns = 0
         self._drives: list[Cia402Drive] = []
         self._axes: list[Cia402Axis] = []
-        try:
+        with self.closed_if_failing():
             for axis in (setup.insertion, setup.roll):
                 drive = Cia402Drive(bus, axis, self.timing.answer_s, self.timing.change_s, self._beat)
                 self._drives.append(drive)
                 self._axes.append(Cia402Axis(axis, drive.name, self.timing.slack_s))
             self._rounds = Rounds(bus, self._axes, self.timing)
             self.start()
-        except BaseException:
-            self.close()
-            raise
 
     @classmethod
     def open(cls, address: str, *, timing: DriveTiming | None = None, clock: Clock | None = None) -> CanopenStage:
@@ -75,18 +73,13 @@ class CanopenStage(Stage):
         parsed = Address.parse(address)
         if parsed.scheme != "canopen" or not parsed.host or parsed.port is not None or parsed.path not in ("", "/"):
             raise AddressError(Mistake("address", address, "must name a bus, as in canopen://can0?setup=drives.toml"))
-        parsed.only(("setup", "interface", "bitrate", "node", "watchdog_s", "alive"))
-        require_called_heartbeat(parsed)
+        parsed.only(("setup", "interface", "bitrate", "node", "watchdog_s"))
         if "setup" not in parsed.options:
             raise AddressError(Mistake("setup", "", "is missing: a TOML file with [insertion] and [roll]"), address)
-        node = parsed.option("node", int, 127)
-        if not 1 <= node <= 127:
-            raise AddressError(Mistake("node", str(node), "must be from 1 to 127"), address)
-        bitrate = parsed.option("bitrate", int, 0)
+        node = parsed.option("node", Integer(1, 127), 127)
+        bitrate = parsed.option("bitrate", Integer(0, 1_000_000), 0)
         usual = DriveTiming() if timing is None else timing
-        watchdog_s = parsed.option("watchdog_s", float, usual.watchdog_s)
-        if not 0.02 <= watchdog_s <= 60:
-            raise AddressError(Mistake("watchdog_s", f"{watchdog_s:g}", "must be from 0.02 to 60 s"), address)
+        watchdog_s = parsed.option("watchdog_s", Number("s", at_least=0.02, at_most=60), usual.watchdog_s)
         setup = DrivesSetup.read(parsed.options["setup"])
         if node in (setup.insertion.node, setup.roll.node):
             raise AddressError(Mistake("node", str(node), "must differ from the node numbers of the drives"), address)
@@ -134,8 +127,7 @@ class CanopenStage(Stage):
         Raises DeviceFault if a drive does not acknowledge the stop, LinkClosed after `close`. A drive that receives no
         heartbeats stops by itself.
         """
-        if self._closed:
-            raise LinkClosed("the stage is closed")
+        self._require_open()
         try:
             # Marked before the drives report the effects of the stop, so that a reading thread expects them.
             for axis in self._axes:
@@ -153,8 +145,7 @@ class CanopenStage(Stage):
 
     def send_stop(self) -> None:
         """Let another thread send a quick stop to both drives, because the caller may hold the lock of the bus."""
-        if self._closed:
-            raise LinkClosed("the stage is closed")
+        self._require_open()
         threading.Thread(target=self._quick_stop, name="stop", daemon=True).start()
 
     def _quick_stop(self) -> None:
@@ -167,8 +158,7 @@ class CanopenStage(Stage):
 
     def measure(self, timeout_s: float) -> StageSample | None:
         """Return the next sample, also after a fault, or None after `timeout_s`. Raises DeviceFault."""
-        if self._closed:
-            raise LinkClosed("the stage is closed")
+        self._require_open()
         return self._read(timeout_s)
 
     def heartbeat(self) -> None:
@@ -176,8 +166,7 @@ class CanopenStage(Stage):
 
         Raises DeviceFault if the heartbeat cannot be sent, LinkClosed after `close`.
         """
-        if self._closed:
-            raise LinkClosed("the stage is closed")
+        self._require_open()
         try:
             self._beat()
         except DeviceFault as fault:
@@ -308,8 +297,7 @@ class CanopenStage(Stage):
         return axis.take_status(frame.data, earliest_ns, frame.received_ns)
 
     def _require_no_fault(self) -> None:
-        if self._closed:
-            raise LinkClosed("the stage is closed")
+        self._require_open()
         if self._fault is not None:
             raise self._fault
 

@@ -40,16 +40,13 @@ class NeedleSensor(Device):
         self._times = FrameTimes(self.limits, noun=name)
         self._heard_ns = self._clock.now_ns()
         self._fault: DeviceFault | None = None
-        try:
+        with self.closed_if_failing():
             self._first = self._next(Deadline(self._clock, self.limits.start_s))
             if self._first is None:
                 rule = (
                     f"must be the device of a {kind} that the server sends; in {self.limits.start_s:g} s there was none"
                 )
                 raise ConfigurationError(Mistake("name", name, rule), "sensor")
-        except BaseException:
-            self.close()
-            raise
 
     def read(self, timeout_s: float) -> FibreSample | ImageSample | None:
         """Return the next sample, or None after `timeout_s`.

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from urllib.parse import unquote
 
+from needleplan.config import Choice, Integer, Number
 from needleplan.devices._base import PoseSample, Tracker
 from needleplan.devices._clock import Clock, Deadline, SystemClock
 from needleplan.devices._links import Link
@@ -25,7 +26,7 @@ from needleplan.devices.igtl.poses import (
     decode_tdata,
     decode_transform,
 )
-from needleplan.errors import AddressError, ConfigurationError, DeviceFault, LinkClosed, Mistake, ProtocolError
+from needleplan.errors import AddressError, ConfigurationError, DeviceFault, Mistake, ProtocolError
 
 __all__ = ["IGTL_PORT", "IgtlCounts", "IgtlTracker", "PoseKind", "named_address", "names_of", "open_named"]
 
@@ -93,13 +94,10 @@ class IgtlTracker(Tracker):
         self.limits: IgtlPoseLimits = IgtlPoseLimits() if limits is None else limits
         self.counts: IgtlCounts = IgtlCounts()
         self._closed = False
-        try:
+        with self.closed_if_failing():
             if ask and not kind.holds_tools:
                 raise ConfigurationError(Mistake("ask", "yes", "only TDATA and QTDATA can be requested"))
             self.start()
-        except BaseException:
-            self.close()
-            raise
 
     @classmethod
     def open(cls, address: str, *, limits: IgtlPoseLimits | None = None) -> IgtlTracker:
@@ -119,12 +117,10 @@ class IgtlTracker(Tracker):
         DeviceFault if the server cannot be reached.
         """
         parsed, name, needs_crc = named_address(address, ("message", "ask", "interval_ms", "coordinates", "rate_hz"))
-        kind = parsed.option("message", PoseKind, PoseKind.TRANSFORM)
-        ask = parsed.option("ask", {"no": False, "yes": True}.__getitem__, False)
-        interval_ms = parsed.option("interval_ms", int, 0)
-        rate_hz = parsed.option("rate_hz", float, 0.0)
-        if not 0 <= rate_hz < 1e6:
-            raise AddressError(Mistake("rate_hz", str(rate_hz), "must be at least 0 and less than a million"), address)
+        kind = parsed.option("message", Choice(PoseKind), PoseKind.TRANSFORM)
+        ask = parsed.option("ask", Choice({"no": False, "yes": True}), False)
+        interval_ms = parsed.option("interval_ms", Integer(0, 2**31 - 1), 0)
+        rate_hz = parsed.option("rate_hz", Number("Hz", at_least=0, at_most=1e6), 0.0)
         link = open_named(parsed)
         coordinates = parsed.options.get("coordinates", "")
         return cls(
@@ -169,8 +165,7 @@ class IgtlTracker(Tracker):
         Raises DeviceFault if no new pose arrives for `limits.silence_s`, the server cannot be used any more, or the
         connection is lost, and then at every call until `start`. Raises LinkClosed after `close`.
         """
-        if self._closed:
-            raise LinkClosed("the tracker is closed")
+        self._require_open()
         if self._fault is not None:
             raise self._fault
         sample, self._first = self._first, None
@@ -291,7 +286,7 @@ def named_address(address: str, known: Sequence[str] = ()) -> tuple[Address, str
     if not name or "/" in name:
         rule = "must name the device of the messages, as in igtl://host/NeedleToTracker"
         raise AddressError(Mistake("address", address, rule))
-    return parsed, name, parsed.option("crc", {"required": True, "absent": False}.__getitem__, True)
+    return parsed, name, parsed.option("crc", Choice({"required": True, "absent": False}), True)
 
 
 def open_named(parsed: Address) -> Link:

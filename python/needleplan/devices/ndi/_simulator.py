@@ -233,6 +233,3 @@ class AuroraDevice(CallRepr):
             faults.cut -= 1
             reply = reply[: len(reply) // 2]
         return before + reply
-
-
-_NANO = 1_000_000_000

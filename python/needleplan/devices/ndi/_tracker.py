@@ -5,10 +5,11 @@ from __future__ import annotations
 import contextlib
 from dataclasses import dataclass, replace
 
+from needleplan.config import Choice, Number
 from needleplan.devices._base import PoseSample, Tracker
 from needleplan.devices._clock import Clock, Deadline, SystemClock
 from needleplan.devices._links import Link, SerialLink
-from needleplan.devices._opening import Address, open_link
+from needleplan.devices._opening import BAUDS, Address, open_link
 from needleplan.devices.ndi.commands import BAUD_CODES, NdiConversation, NdiRefused
 from needleplan.devices.ndi.frames import Frames, NdiPoseLimits, NdiPoseValidator, parse_bx, parse_tx
 from needleplan.errors import AddressError, ConfigurationError, DeviceFault, LinkClosed, Mistake, ProtocolError
@@ -179,11 +180,8 @@ class NdiTracker(Tracker):
         self._wanted, self._speed = tool, speed
         self._name, self._mode = "TX" if text else "BX", "0801" if beyond else "0001"
         self._closed = self._tracking = self._speed_changed = False
-        try:
+        with self.closed_if_failing():
             self.start()
-        except BaseException:
-            self.close()
-            raise
 
     @classmethod
     def open(cls, address: str, *, limits: NdiPoseLimits | None = None) -> NdiTracker:
@@ -207,13 +205,12 @@ class NdiTracker(Tracker):
             raise AddressError(Mistake("address", address, "a tracker is reached by serial:///port or tcp://host"))
         ours = ("tool", "speed", "reply", "beyond", "rate_hz")
         parsed.only((*ours, "baud") if parsed.scheme == "serial" else (*ours, "timeout_s"))
-        text = parsed.option("reply", {"bx": False, "tx": True}.__getitem__, False)
-        beyond = parsed.option("beyond", {"no": False, "yes": True}.__getitem__, False)
-        speed = parsed.option("speed", int, 0)
+        text = parsed.option("reply", Choice({"bx": False, "tx": True}), False)
+        beyond = parsed.option("beyond", Choice({"no": False, "yes": True}), False)
+        speed = parsed.option("speed", BAUDS, 0)
         limits = NdiPoseLimits() if limits is None else limits
-        limits = replace(limits, rate_hz=parsed.option("rate_hz", float, limits.rate_hz))
-        if not 1 <= limits.rate_hz <= 1000:
-            raise AddressError(Mistake("rate_hz", f"{limits.rate_hz:g}", "must be from 1 to 1000 Hz"), address)
+        rate_hz = parsed.option("rate_hz", Number("Hz", at_least=1, at_most=1000), limits.rate_hz)
+        limits = replace(limits, rate_hz=rate_hz)
         rest = {name: value for name, value in parsed.options.items() if name not in ours}
         link = open_link(Address(parsed.scheme, parsed.host, parsed.port, parsed.path, rest), NDI_PORT)
         return cls(link, tool=parsed.options.get("tool", ""), speed=speed, text=text, beyond=beyond, limits=limits)
@@ -250,8 +247,7 @@ class NdiTracker(Tracker):
         Raises DeviceFault if the tracker cannot be used, and then at every call until `start`. Raises LinkClosed if the
         connection is closed.
         """
-        if self._closed:
-            raise LinkClosed("the tracker is closed")
+        self._require_open()
         if self._fault is not None:
             raise self._fault
         deadline = Deadline(self._clock, timeout_s)

@@ -3,14 +3,12 @@
 A stage for the controller, and the robot side with simulated drives.
 """
 
-from needleplan.devices.robot._bystander import stop_robot
-from needleplan.devices.robot._drives import DriveLimits, RobotDrive, RobotDriveState
-from needleplan.devices.robot._limits import RobotLimits
+from needleplan.devices.robot._drives import DriveLimits, RobotDrive, RobotDriveState, RobotLimits
 from needleplan.devices.robot._machine import RobotMachine
 from needleplan.devices.robot._relay import RobotRelay
-from needleplan.devices.robot._simulator import RobotDriveFaults, RobotLink, RobotNetwork, RobotServer, SteadyDrive
+from needleplan.devices.robot._simulator import RobotDriveFaults, RobotServer, SteadyDrive
 from needleplan.devices.robot._stage import RobotStage, RobotTiming, read_key
-from needleplan.devices.robot._way import LINE_BAUD, RobotWay, open_way
+from needleplan.devices.robot._way import LINE_BAUD, RobotWay, open_way, stop_robot
 from needleplan.devices.robot.messages import Fault, MotionLimits, RobotState, RobotStatus
 
 __all__ = [
@@ -22,9 +20,7 @@ __all__ = [
     "RobotDriveFaults",
     "RobotDriveState",
     "RobotLimits",
-    "RobotLink",
     "RobotMachine",
-    "RobotNetwork",
     "RobotRelay",
     "RobotServer",
     "RobotStage",

@@ -19,10 +19,11 @@ from needleplan.devices.robot._drives import (
     DriveStandstill,
     DriveStop,
     DriveWatch,
+    RobotCounts,
     RobotDrive,
     RobotDriveState,
+    RobotLimits,
 )
-from needleplan.devices.robot._limits import RobotCounts, RobotLimits
 from needleplan.devices.robot._witnesses import StopWitnesses
 from needleplan.devices.robot.messages import (
     Answer,

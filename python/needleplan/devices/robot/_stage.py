@@ -9,14 +9,14 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from needleplan.config import Number
 from needleplan.devices._base import Health, Stage, StageSample, Stamp
 from needleplan.devices._clock import Clock, Deadline, SystemClock
 from needleplan.devices._links import Link
-from needleplan.devices._opening import Address, open_link, require_called_heartbeat
+from needleplan.devices._opening import Address, open_link
 from needleplan.devices.robot._codes import REASONS_OF_RESULTS
 from needleplan.devices.robot._way import RobotWay, open_way, robot_address
-from needleplan.devices.robot._wire import RobotWire
-from needleplan.devices.robot.conversation import RobotClock, RobotConversation, StatusCounts
+from needleplan.devices.robot.conversation import RobotClock, RobotConversation, RobotWire, StatusCounts
 from needleplan.devices.robot.messages import (
     NAMES_OF_FAULTS,
     VERSION,
@@ -27,7 +27,7 @@ from needleplan.devices.robot.messages import (
     RobotStatus,
 )
 from needleplan.devices.supervision import StageSupervisor
-from needleplan.errors import AddressError, DeviceFault, LinkClosed, Mistake
+from needleplan.errors import AddressError, DeviceFault, Mistake
 
 __all__ = ["RobotStage", "RobotTiming", "read_key"]
 
@@ -41,6 +41,8 @@ _REFUSED_MOTION = frozenset({
 })  # fmt: skip
 # Results of a HELLO that asks for wider limits than those of the robot
 _TOO_WIDE = (Result.DEPTH_BEYOND, Result.SPEED_BEYOND, Result.ROLL_BEYOND, Result.ROTATION_BEYOND)
+# Rule for `silence_s` and `valid_s` in an address
+_TIMES = Number("s", at_least=0.001, at_most=60)
 
 
 @dataclass(frozen=True)
@@ -83,6 +85,8 @@ class RobotStage(Stage):
     if the key is too short.
     """
 
+    noun = "robot"
+
     def __init__(
         self,
         link: Link,
@@ -110,11 +114,8 @@ class RobotStage(Stage):
         self.last_status: RobotStatus | None = None
         """The status that was read last, or None; also updated by the status that reports a fault."""
 
-        try:
+        with self.closed_if_failing():
             self.start()
-        except BaseException:
-            self.close()
-            raise
 
     @classmethod
     def open(cls, address: str, *, timing: RobotTiming | None = None, limits: MotionLimits | None = None) -> RobotStage:
@@ -126,25 +127,18 @@ class RobotStage(Stage):
         Raises AddressError if the address or the key is wrong, DeviceFault if the robot does not answer, has another
         controller, does not accept the limits, or is in a fault that stays.
         """
-        options = ("watchdog_s", "valid_s", "alive", "key_file")
+        options = ("watchdog_s", "valid_s", "key_file")
         is_line = Address.parse(address).scheme == "serial"
         parsed = robot_address(address, options if is_line else (*options, "local_port"))
-        require_called_heartbeat(parsed)
         usual = RobotTiming() if timing is None else timing
-        silence_s = parsed.option("watchdog_s", float, usual.silence_s)
-        valid_s = parsed.option("valid_s", float, usual.valid_s)
-        for name, value in (("watchdog_s", silence_s), ("valid_s", valid_s)):
-            if not 0.001 <= value <= 60:
-                raise AddressError(Mistake(name, f"{value:g}", "must be from 0.001 to 60 s"), address)
+        silence_s = parsed.option("watchdog_s", _TIMES, usual.silence_s)
+        valid_s = parsed.option("valid_s", _TIMES, usual.valid_s)
         key = read_key(parsed.options["key_file"]) if "key_file" in parsed.options else None
         local = {name: value for name, value in parsed.options.items() if name == "local_port"}
         asked = replace(usual, silence_s=silence_s, valid_s=valid_s)
         way = open_way(address)
-        try:
+        with way.closed_if_failing():
             link = open_link(Address("udp", way.host, way.port, options=local))
-        except BaseException:
-            way.close()
-            raise
         return cls(link, timing=asked, limits=limits, key=key, way=way)
 
     @property
@@ -209,8 +203,7 @@ class RobotStage(Stage):
         Raises DeviceFault if the robot refuses or does not answer, LinkClosed after `close`. A robot that receives
         nothing stops by its watchdog.
         """
-        if self._closed:
-            raise LinkClosed("the robot is closed")
+        self._require_open()
         self._stops += 1
         self._goals = (0, {})
         result, _ = self._conversation.command(RobotKind.STOP, self.timing.answer_s, timely=False)
@@ -219,8 +212,7 @@ class RobotStage(Stage):
 
     def send_stop(self) -> None:
         """Send one STOP without waiting for its answer; no lock is taken. Raises LinkClosed after `close`."""
-        if self._closed:
-            raise LinkClosed("the robot is closed")
+        self._require_open()
         self._stops += 1
         self._goals = (0, {})
         self._conversation.send_stop()
@@ -239,8 +231,7 @@ class RobotStage(Stage):
         self._declare(RobotKind.UNHOME, 10 * self.timing.again_s, homed=False)
 
     def _declare(self, kind: RobotKind, within_s: float, *, homed: bool) -> None:
-        if self._closed:
-            raise LinkClosed("the robot is closed")
+        self._require_open()
         if self._conversation.version < VERSION:
             return  # the robot has no place for it
         end = Deadline(self._clock, within_s)
@@ -256,8 +247,7 @@ class RobotStage(Stage):
 
     def measure(self, timeout_s: float) -> StageSample | None:
         """Return the next sample, also while the robot is in FAULT, or None after `timeout_s`. Raises LinkClosed."""
-        if self._closed:
-            raise LinkClosed("the robot is closed")
+        self._require_open()
         deadline = Deadline(self._clock, timeout_s)
         while (sample := self._next(raises=False)) is None:
             if not self._conversation.pump(deadline.left_s) and deadline.passed:
@@ -266,8 +256,7 @@ class RobotStage(Stage):
 
     def heartbeat(self) -> None:
         """Send a heartbeat that is valid for `timing.silence_s`. Raises LinkClosed."""
-        if self._closed:
-            raise LinkClosed("the robot is closed")
+        self._require_open()
         self._conversation.heartbeat(self.timing.silence_s)
 
     def read(self, timeout_s: float) -> StageSample | None:
@@ -276,8 +265,7 @@ class RobotStage(Stage):
         Raises DeviceFault if the robot reports a fault or is silent, and then at every call until `start`. Raises
         LinkClosed after `close`.
         """
-        if self._closed:
-            raise LinkClosed("the robot is closed")
+        self._require_open()
         self._require_no_fault()
         deadline = Deadline(self._clock, timeout_s)
         while True:
@@ -301,8 +289,7 @@ class RobotStage(Stage):
             self._conversation.command(RobotKind.GOODBYE, 10 * self.timing.again_s, timely=False)
 
     def _move(self, kind: RobotKind, target: float, speed: float) -> None:
-        if self._closed:
-            raise LinkClosed("the robot is closed")
+        self._require_open()
         self._require_no_fault()
         if not (math.isfinite(target) and math.isfinite(speed) and speed > 0):
             raise DeviceFault(

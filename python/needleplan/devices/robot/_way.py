@@ -1,23 +1,28 @@
-"""The way to a robot: a UDP port, or a serial line that this program serves at a UDP port of this machine."""
+"""The way to a robot: a UDP port, or a serial line that this program serves at a UDP port of this machine.
+
+A stop by a bystander, who does not control the robot.
+"""
 
 from __future__ import annotations
 
 import os
 import time
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 from pathlib import Path
 from typing import TextIO
 
 from needleplan import _ppvi
+from needleplan.bystander import WITHIN_S, StopOutcome, stop
 from needleplan.devices._base import Closing
 from needleplan.devices._clock import Deadline, SystemClock
 from needleplan.devices._links import SerialLink
-from needleplan.devices._opening import Address
+from needleplan.devices._opening import BAUDS, Address
 from needleplan.devices.robot.messages import ROBOT_PORT
 from needleplan.errors import AddressError, DeviceFault, Mistake
 from needleplan.line_owner import line_place, line_port
 
-__all__ = ["LINE_BAUD", "RobotWay", "open_way", "robot_address"]
+__all__ = ["LINE_BAUD", "RobotWay", "open_way", "robot_address", "stop_robot"]
+
 
 LINE_BAUD = 460_800
 """Speed (bit/s) of a serial line to a robot, by default: 400 compact statuses per second fill two thirds of it."""
@@ -102,7 +107,7 @@ def open_way(address: str, known: Collection[str] | None = None, *, shared: bool
         return RobotWay(parsed, *parsed.network(ROBOT_PORT))
     if shared and (port := line_port(parsed.path)) is not None:
         return RobotWay(parsed, _LOCALHOST, port)
-    baud = parsed.option("baud", int, LINE_BAUD)
+    baud = parsed.option("baud", BAUDS, LINE_BAUD)
     lock = _locked(parsed.path)
     try:
         line = _ppvi.RobotLine(SerialLink(parsed.path, baud).hand_over(), baud)
@@ -141,3 +146,26 @@ def _locked(path: str) -> TextIO:
                 file.close()
                 raise DeviceFault(f"serial://{path}: another program controls the robot on this line") from None
         time.sleep(_LOOKED_AT_S / 20)
+
+
+def stop_robot(
+    address: str, within_s: float = WITHIN_S, on_alarm: Callable[[StopOutcome], object] | None = None
+) -> StopOutcome:
+    """Stop the robot at `udp://host[:5005]` or `serial:///dev/ttyUSB0[?baud=460800]`, without taking control.
+
+    Returns when the needle is measured at rest. A serial line is shared with the program that controls the robot.
+
+    The stop is sent again every 10 ms. `on_alarm` gets the present outcome once if the needle still moves, and once if
+    the robot reports no position. The stop needs no key. If the robot has a controller, the robot enters FAULT, and the
+    run of the controller ends. Raises AddressError if the address is wrong, DeviceFault if the needle is not measured
+    at rest within `within_s`.
+    """
+    with open_way(address, shared=True) as way:
+        try:
+            outcome = stop(way.host, way.port, within_s, on_alarm)
+        except (OSError, UnicodeError) as error:
+            raise AddressError(Mistake("host", way.host, "is not a host that this machine can find")) from error
+        if not outcome.is_confirmed:
+            name = f"serial://{way.address.path}" if way.address.scheme == "serial" else f"udp://{way.host}:{way.port}"
+            raise DeviceFault("; ".join(filter(None, (outcome.why_not(name), way.hint))))
+    return outcome

@@ -17,7 +17,7 @@ Source: sections 5.2 and 5.3 of the thesis. The deflection w of the thesis is -u
 from __future__ import annotations
 
 import math
-from dataclasses import KW_ONLY, dataclass, fields
+from dataclasses import KW_ONLY, dataclass
 from enum import StrEnum
 from itertools import pairwise
 
@@ -25,21 +25,21 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from needleplan.artifacts import CallRepr
+from needleplan.config import ConfigTable, Number, mistakes_of, ruled
 from needleplan.errors import Mistake, ModelError
 from needleplan.models.deflection._stepped import StiffnessSteps
 from needleplan.signals import Array
 
 __all__ = ["AxialTerms", "Beam", "ElasticTissue", "Foundation", "NeedleShaft"]
 
-# Closed range of every field of `NeedleShaft`, in its unit.
-_RANGES = {
-    "outer_diameter_mm": (0.05, 10.0),
-    "inner_diameter_mm": (0.0, 10.0),
-    "length_mm": (10.0, 1000.0),
-    "bevel_angle_rad": (0.01, math.pi / 2),
-    "youngs_modulus_gpa": (0.1, 1000.0),
-    "shear_modulus_gpa": (0.05, 500.0),
-    "density_kg_m3": (500.0, 25000.0),
+_RULES = {
+    "outer_diameter_mm": Number("mm", at_least=0.05, at_most=10),
+    "inner_diameter_mm": Number("mm", at_least=0, at_most=10),
+    "length_mm": Number("mm", at_least=10, at_most=1000),
+    "bevel_angle_rad": Number("rad", at_least=0.01, at_most=math.pi / 2),
+    "youngs_modulus_gpa": Number("GPa", at_least=0.1, at_most=1000),
+    "shear_modulus_gpa": Number("GPa", at_least=0.05, at_most=500),
+    "density_kg_m3": Number("kg/m3", at_least=500, at_most=25000),
 }
 
 
@@ -86,14 +86,7 @@ class NeedleShaft(CallRepr):
     stiffness_steps: StiffnessSteps = ()
 
     def __post_init__(self) -> None:
-        mistakes = []
-        for field in fields(self):
-            if field.name not in _RANGES:
-                continue
-            value = getattr(self, field.name)
-            low, high = _RANGES[field.name]
-            if isinstance(value, bool) or not isinstance(value, (int, float)) or not low <= value <= high:
-                mistakes.append(Mistake(field.name, str(value), f"must be a number from {low:.4g} to {high:.4g}"))
+        mistakes = mistakes_of(self, _RULES)
         if not mistakes and self.inner_diameter_mm >= self.outer_diameter_mm:
             rule = f"must be less than outer_diameter_mm, {self.outer_diameter_mm:g}"
             mistakes.append(Mistake("inner_diameter_mm", f"{self.inner_diameter_mm:g}", rule))
@@ -184,7 +177,7 @@ class Foundation(StrEnum):
 
 
 @dataclass(frozen=True)
-class ElasticTissue:
+class ElasticTissue(ConfigTable, error=ModelError):
     """Uniform elastic tissue around the needle.
 
     The constructor raises ModelError for numbers out of range.
@@ -206,19 +199,8 @@ class ElasticTissue:
     39.4 mm
     """
 
-    stiffness_n_mm2: float
-    friction_n_s_mm2: float = 0.0
-
-    def __post_init__(self) -> None:
-        mistakes = []
-        if not 1e-6 <= self.stiffness_n_mm2 <= 100:  # also catches NaN
-            rule = "must be from 1e-6 to 100 N/mm2 (1 kN/m2 is 0.001 N/mm2)"
-            mistakes.append(Mistake("stiffness_n_mm2", f"{self.stiffness_n_mm2:g}", rule))
-        if not 0 <= self.friction_n_s_mm2 <= 0.1:
-            rule = "must be from 0 to 0.1 N s/mm2 (1 N s/m2 is 1e-6 N s/mm2)"
-            mistakes.append(Mistake("friction_n_s_mm2", f"{self.friction_n_s_mm2:g}", rule))
-        if mistakes:
-            raise ModelError(mistakes, "tissue")
+    stiffness_n_mm2: float = ruled(Number("N/mm2 (1 kN/m2 is 0.001 N/mm2)", at_least=1e-6, at_most=100))
+    friction_n_s_mm2: float = ruled(Number("N s/mm2 (1 N s/m2 is 1e-6 N s/mm2)", at_least=0, at_most=0.1), 0.0)
 
     def decay_1_mm(self, needle: NeedleShaft) -> float:
         """Return lam = (kf/4EI)^(1/4), 1/mm. A local load bends the needle over about 1/lam."""

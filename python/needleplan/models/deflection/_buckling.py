@@ -23,7 +23,8 @@ from enum import StrEnum
 import numpy as np
 from numpy.typing import ArrayLike
 
-from needleplan.errors import Mistake, ModelError
+from needleplan.config import Choice, ConfigTable, Number, ruled
+from needleplan.errors import ModelError
 from needleplan.signals import Array
 
 __all__ = ["ShaftEnd", "UnsupportedShaft"]
@@ -47,7 +48,7 @@ _ROOTS = {ShaftEnd.FREE: math.pi / 2, ShaftEnd.PINNED: 4.493409457909064, ShaftE
 
 
 @dataclass(frozen=True)
-class UnsupportedShaft:
+class UnsupportedShaft(ConfigTable, error=ModelError):
     """The part of a needle between its last support and the tissue, as an Euler column.
 
     The constructor raises ModelError unless stiffness and length are positive and finite.
@@ -69,18 +70,9 @@ class UnsupportedShaft:
     0.21 N, 0.46 N
     """
 
-    stiffness_n_mm2: float
-    length_mm: float
-    end: ShaftEnd = ShaftEnd.PINNED
-
-    def __post_init__(self) -> None:
-        mistakes = [
-            Mistake(name, f"{getattr(self, name):g}", "must be a number above 0")
-            for name in ("stiffness_n_mm2", "length_mm")
-            if not 0 < getattr(self, name) < math.inf
-        ]
-        if mistakes:
-            raise ModelError(mistakes, "shaft")
+    stiffness_n_mm2: float = ruled(Number("N mm2", above=0))
+    length_mm: float = ruled(Number("mm", above=0))
+    end: ShaftEnd = ruled(Choice(ShaftEnd), ShaftEnd.PINNED)
 
     def buckling_n(self, inserted_mm: ArrayLike) -> Array:
         """Return the axial force at which the shaft buckles.

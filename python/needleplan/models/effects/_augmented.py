@@ -11,7 +11,7 @@ import numpy as np
 
 from needleplan.artifacts import CallRepr
 from needleplan.errors import Mistake, ModelError
-from needleplan.models._base import Channel, Model, SelfIntegratingModel
+from needleplan.models._base import Model, WrappingModel
 from needleplan.models._simulate import simulate
 from needleplan.models.effects._base import SIZE, Enters
 from needleplan.models.effects._tip_catalogue import effect_named
@@ -62,7 +62,7 @@ class AddedEffect(CallRepr):
 
 
 @dataclass(frozen=True)
-class AugmentedModel(SelfIntegratingModel):
+class AugmentedModel(WrappingModel):
     """A model with effects, in the given order; a delay of the sensor comes last, because it delays all others.
 
     `plant` is the same model without the effects of the sensor (`Enters.SENSOR`), which change the measurement only.
@@ -75,11 +75,6 @@ class AugmentedModel(SelfIntegratingModel):
     def name(self) -> str:  # type: ignore[override]
         """Kind of the base model and names of the effects, joined by "+"."""
         return "+".join([self.base.name, *(effect.name for effect in self.effects)])
-
-    @property
-    def channel(self) -> Channel:  # type: ignore[override]
-        """Channel of the base model."""
-        return self.base.channel
 
     @cached_property
     def whole(self) -> Model:

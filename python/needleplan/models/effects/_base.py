@@ -19,7 +19,7 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from needleplan.models._base import Channel, Model, SelfIntegratingModel
+from needleplan.models._base import Channel, Model, WrappingModel
 from needleplan.models._parameter import Parameter, parameters_of
 from needleplan.models._simulate import output_from_rest, simulate
 from needleplan.signals import Array, AveragedMotion, Motion
@@ -194,7 +194,6 @@ class Term(ABC):
     The term has its own internal state of k numbers. The shapes are as in `Model`.
     """
 
-    name: ClassVar[str]
     order: ClassVar[int]
     """k, the number of internal states of the term."""
 
@@ -247,16 +246,11 @@ class Memoryless(Term):
 
 
 @dataclass(frozen=True)
-class WithTerm(SelfIntegratingModel):
+class WithTerm(WrappingModel):
     """A model with an additional term. The internal state of the term follows the state of the model."""
 
     base: Model
     term: Term
-
-    @property
-    def channel(self) -> Channel:  # type: ignore[override]
-        """Channel of the base model."""
-        return self.base.channel
 
     def initial_state(self, motion: Motion) -> Array:
         """Return the state at rest, shape (n + k,)."""

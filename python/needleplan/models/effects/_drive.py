@@ -29,7 +29,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from needleplan.models._base import Channel, Model, SelfIntegratingModel
+from needleplan.models._base import Model, WrappingModel
 from needleplan.models._parameter import parameter
 from needleplan.models._simulate import simulate
 from needleplan.signals import Array, Motion
@@ -49,18 +49,13 @@ _STICKS_S = 0.05
 
 
 @dataclass(frozen=True, kw_only=True)
-class WithDrive(SelfIntegratingModel):
+class WithDrive(WrappingModel):
     """Abstract base class of a model whose needle lags behind the motor by p (mm).
 
     The last number of the state is the memory of the drive.
     """
 
     base: Model
-
-    @property
-    def channel(self) -> Channel:  # type: ignore[override]
-        """Channel of the base model."""
-        return self.base.channel
 
     @abstractmethod
     def behind(self, memory: Array, motion: Motion) -> Array:

@@ -14,7 +14,7 @@ from typing import ClassVar
 import numpy as np
 from scipy.special import gammainc, gammaincinv, gammaln, xlogy
 
-from needleplan.models._base import Channel, Model, SelfIntegratingModel
+from needleplan.models._base import Model, WrappingModel
 from needleplan.models._parameter import parameter
 from needleplan.models._simulate import output_from_rest, simulate
 from needleplan.models.effects._base import Memoryless, Term
@@ -32,7 +32,6 @@ _DIFFERENCE_S = 0.005
 class Bias(Memoryless):
     """A constant offset of the sensor."""
 
-    name: ClassVar[str] = "bias"
     size: float = parameter("N", -20, 20, "reading at zero force", typical=0.01)
 
     def shape(self, state: Array, motion: Motion, plain: Array) -> Array:  # noqa: ARG002
@@ -44,7 +43,6 @@ class Bias(Memoryless):
 class Drift(Memoryless):
     """A linear drift of the sensor's zero from the time 0 of each trial."""
 
-    name: ClassVar[str] = "drift"
     size: float = parameter("N/s", -1, 1, "rate of the zero", typical=1e-3)
 
     def shape(self, state: Array, motion: Motion, plain: Array) -> Array:  # noqa: ARG002
@@ -56,7 +54,6 @@ class Drift(Memoryless):
 class ThermalDrift(Memoryless):
     """An exponential drift of the sensor's zero while the sensor warms up, from the time 0 of each trial."""
 
-    name: ClassVar[str] = "thermal_drift"
     size: float = parameter("N", -20, 20, "final shift of the zero", typical=0.01)
     time_s: float = parameter("s", 0.1, 1e4, "time constant of the warming")
 
@@ -73,7 +70,6 @@ class GainError(Memoryless):
     parameters of the base model are known.
     """
 
-    name: ClassVar[str] = "gain_error"
     size: float = parameter("", -0.9, 5, "relative error of the gain", typical=0.01)
 
     def shape(self, state: Array, motion: Motion, plain: Array) -> Array:  # noqa: ARG002
@@ -85,7 +81,6 @@ class GainError(Memoryless):
 class Inertia(Term):
     """Inertia of the mass attached to the sensor, such as the needle holder."""
 
-    name: ClassVar[str] = "inertia"
     order: ClassVar[int] = 1
     size: float = parameter("kg", 0, 100, "mass that the sensor accelerates", typical=0.1)
 
@@ -126,7 +121,7 @@ _FINER = 4
 
 
 @dataclass(frozen=True, kw_only=True)
-class Lagging(SelfIntegratingModel):
+class Lagging(WrappingModel):
     """A model whose measurement is delayed by `size` (s), approximated by 256 first-order lags in series.
 
     Lag i has the output y_i, in the unit of the channel, with (size/256) y_i' = y_(i-1) - y_i. Its input y_0 is the
@@ -136,11 +131,6 @@ class Lagging(SelfIntegratingModel):
 
     base: Model
     size: float = parameter("s", 0, 10, "delay of the reading", typical=0.01)
-
-    @property
-    def channel(self) -> Channel:  # type: ignore[override]
-        """Channel of the base model."""
-        return self.base.channel
 
     def initial_state(self, motion: Motion) -> Array:
         """Return the state of the base at rest, followed by 256 copies of its output, shape (n + 256,)."""

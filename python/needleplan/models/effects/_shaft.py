@@ -84,7 +84,6 @@ def _inserted(motion: Motion) -> Array:
 class FrictionLayer(PathTerm):
     """A deeper layer of tissue with higher or lower friction."""
 
-    name: ClassVar[str] = "friction_layer"
     size: float = parameter("N/mm", -1, 1, "change of the friction per length at the layer", typical=1e-3)
     depth_mm: float = parameter("mm", 0, 500, "depth at which the layer begins", typical=1.0)
 
@@ -100,7 +99,6 @@ class Stribeck(PathTerm):
     The amplitude is a share of the model's friction, because that friction differs from trial to trial.
     """
 
-    name: ClassVar[str] = "stribeck"
     size: float = parameter("", 0, 20, "additional friction at rest, as a share of the friction", typical=0.1)
     speed_mm_s: float = parameter("mm/s", 1e-2, 100, "speed over which the additional friction decays")
     friction: float = constant("N/mm", 0, 10, "friction per inserted length of the model", default=1.0)
@@ -115,7 +113,6 @@ class Stribeck(PathTerm):
 class Viscous(PathTerm):
     """Friction in proportion to the speed."""
 
-    name: ClassVar[str] = "viscous"
     size: float = parameter("N s/mm2", -1e-2, 1e-2, "friction per length and speed", typical=1e-4)
 
     def shape(self, state: Array, motion: Motion, plain: Array) -> Array:  # noqa: ARG002
@@ -127,7 +124,6 @@ class Viscous(PathTerm):
 class Relaxation(PathTerm):
     """Decay of the force while the needle rests; a short travel restores the force (Maxwell)."""
 
-    name: ClassVar[str] = "relaxation"
     order: ClassVar[int] = 3
     size: float = parameter("", 0, 1, "share of the force that relaxes", typical=0.1)
     time_s: float = parameter("s", 0.02, 1e3, "time constant of the relaxation")
@@ -164,7 +160,6 @@ class PathDamage(PathTerm):
     The internal state also contains the sliding distance (mm) in every cell of the path.
     """
 
-    name: ClassVar[str] = "path_damage"
     order: ClassVar[int] = 2 + _CELLS
     size: float = parameter("", 0, 1.5, "share of the friction that wears away", typical=0.2)
     sliding_mm: float = parameter("mm", 0.5, 5000, "sliding distance over which the friction wears away")
@@ -237,7 +232,6 @@ def _filled(depth_mm: Array) -> Array:
 class Bump(PathTerm):
     """Resistance at one depth each time the tip passes this depth, caused by an air bubble, a fibre or a lesion."""
 
-    name: ClassVar[str] = "bump"
     size: float = parameter("N", -20, 20, "force at the bump", typical=0.1)
     depth_mm: float = parameter("mm", 0, 500, "depth of the bump", typical=1.0)
     width_mm: float = parameter("mm", 0.1, 30, "half width at which the force has fallen to 1/e")
@@ -259,7 +253,6 @@ class Puncture(PathTerm):
     The force grows as exp((L - depth)/bulge) and decays fast after the break. Later passes of the tip meet no force.
     """
 
-    name: ClassVar[str] = "puncture"
     size: float = parameter("N", 0, 20, "force at which the membrane breaks", typical=0.1)
     depth_mm: float = parameter("mm", 0, 500, "depth at which the membrane breaks", typical=1.0)
     bulge_mm: float = parameter("mm", 0.1, 30, "travel over which the force grows by the factor e")
@@ -291,7 +284,6 @@ class Puncture(PathTerm):
 class CuttingLayer(PathTerm):
     """A deeper layer of tissue with a higher or lower cutting force."""
 
-    name: ClassVar[str] = "cutting_layer"
     size: float = parameter("N", -20, 20, "change of the cutting force at the layer", typical=0.1)
     depth_mm: float = parameter("mm", 0, 500, "depth at which the layer begins", typical=1.0)
     width_mm: float = parameter("mm", 0.05, 20, "half width of the transition between the layers")
@@ -310,7 +302,6 @@ class FreshCutting(PathTerm):
     the depth.
     """
 
-    name: ClassVar[str] = "fresh_cutting"
     size: float = parameter("", 0, 1.5, "missing share of the cutting force in tissue that is already cut", typical=0.2)
     margin_mm: float = parameter(
         "mm", 0.01, 10, "distance from the end of the old path over which the cutting force returns"
@@ -330,7 +321,6 @@ class FreshCutting(PathTerm):
 class CuttingWithDepth(PathTerm):
     """Cutting force that grows with the depth."""
 
-    name: ClassVar[str] = "cutting_with_depth"
     size: float = parameter("N/mm", -1, 1, "growth of the cutting force with depth", typical=1e-3)
 
     def shape(self, state: Array, motion: Motion, plain: Array) -> Array:  # noqa: ARG002
@@ -346,7 +336,6 @@ class CuttingSpeed(PathTerm):
     the depth.
     """
 
-    name: ClassVar[str] = "cutting_speed"
     size: float = parameter("", -0.9, 20, "additional cutting force at 5 mm/s, as a share of that at rest", typical=0.1)
     power: float = parameter("", 0.1, 1.5, "exponent of the speed")
     cutting: float = constant("N", 0, 100, "cutting force of the model", default=1.0)

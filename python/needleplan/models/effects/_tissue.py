@@ -9,7 +9,7 @@ from functools import cached_property, lru_cache
 import numpy as np
 
 from needleplan import _ppvi
-from needleplan.models._base import Channel, Model, SelfIntegratingModel
+from needleplan.models._base import Model, WrappingModel
 from needleplan.models._parameter import parameter
 from needleplan.models._simulate import simulate
 from needleplan.models.effects._laws import breathing
@@ -23,7 +23,7 @@ _AT_ONCE = 16
 
 
 @dataclass(frozen=True, kw_only=True)
-class SlowTurning(SelfIntegratingModel):
+class SlowTurning(WrappingModel):
     """The base model, part of whose friction reverses over a travel that is longer by `size` (mm).
 
     The state is (z, z_long), the bristles of the base and of this part. The force is linear in the bristle, so the
@@ -34,11 +34,6 @@ class SlowTurning(SelfIntegratingModel):
     size: float = parameter("mm", 0, 20, "additional travel over which friction reverses", typical=0.1)
     share: float = parameter("", 0, 1, "share of the shaft's friction with this travel", typical=1.0, default=1.0)
     tip: float = parameter("", 0, 1, "share of the tip's force with this travel", typical=1.0, default=1.0)
-
-    @property
-    def channel(self) -> Channel:  # type: ignore[override]
-        """Channel of the base model."""
-        return self.base.channel
 
     @cached_property
     def slow(self) -> ShaftAndTip:
@@ -78,7 +73,7 @@ def _blend(state: Array, share: float) -> Array:
 
 
 @dataclass(frozen=True, kw_only=True)
-class GivingTissue(SelfIntegratingModel):
+class GivingTissue(WrappingModel):
     """A model in compliant tissue, which moves with the needle (Kelvin and Voigt).
 
     The bristle z of the base model, from -1 to 1, represents the friction. Friction displaces the tissue by u (mm):
@@ -96,11 +91,6 @@ class GivingTissue(SelfIntegratingModel):
     growth: float = parameter(
         "", 0, 1, "share of the displacement in proportion to the inserted length", typical=1.0, default=0.0
     )
-
-    @property
-    def channel(self) -> Channel:  # type: ignore[override]
-        """Channel of the base model."""
-        return self.base.channel
 
     def largest_mm(self, motion: Motion) -> Array:
         """Return the displacement of the tissue (mm) that complete friction causes, at each sample."""
@@ -170,7 +160,7 @@ _REFERENCE_MM = 50.0
 
 
 @dataclass(frozen=True, kw_only=True)
-class BreathingTissue(SelfIntegratingModel):
+class BreathingTissue(WrappingModel):
     """A model whose tissue moves along the needle by breathing; the state is the state of the base model.
 
     The displacement of the tissue is u = size/2 (sin a - rest/2 cos^2 a + rest) with a = 2 pi f t + phase. For rest 0,
@@ -184,11 +174,6 @@ class BreathingTissue(SelfIntegratingModel):
     frequency_hz: float = parameter("Hz", 0.02, 5, "frequency of the breathing")
     phase_rad: float = parameter("rad", -20, 20, "phase at the beginning of a trial", typical=1.0)
     rest: float = parameter("", -1, 1, "dwell: 0 is a sine, 1 dwells at exhalation, -1 at inhalation", typical=1.0)
-
-    @property
-    def channel(self) -> Channel:  # type: ignore[override]
-        """Channel of the base model."""
-        return self.base.channel
 
     def relative(self, motion: Motion) -> Motion:
         """Return the motion of the needle relative to the tissue; `motion` itself if the amplitude is 0."""

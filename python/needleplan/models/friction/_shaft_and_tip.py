@@ -67,13 +67,6 @@ class ShaftAndTip(SelfIntegratingModel):
 
     The state is the bristle, from -1 to 1.
 
-    Parameters
-    ----------
-    friction, cutting, onset_mm, presliding_mm : float
-        Parameters of the equations at the head of the module, with the units of `parameters`.
-    curves : LawCurves, optional
-        Measured deviations of friction and cutting force from these laws.
-
     Examples
     --------
     >>> import needleplan as npl
@@ -91,7 +84,11 @@ class ShaftAndTip(SelfIntegratingModel):
     cutting: float = parameter("N", 1e-5, 100, "cutting force of the tip, deep in the tissue")
     onset_mm: float = parameter("mm", 1e-2, 50, "depth over which the cutting force rises")
     presliding_mm: float = parameter("mm", 1e-3, 20, "travel over which friction reverses")
-    curves: LawCurves | None = field(default=None, repr=False)
+    curves: LawCurves | None = field(
+        default=None,
+        repr=False,
+        metadata={"about": "measured deviations of friction and cutting force from these laws"},
+    )
 
     def initial_state(self, motion: Motion) -> Array:  # noqa: ARG002
         """Return z = 0, the straight bristle, shape (1,)."""

@@ -12,14 +12,12 @@
 | `TwistedShaft` | slipping and stuck parts of the shaft, torque at the base, release by insertion |
 """
 
-from needleplan.models.path._bicycle import Bicycle, arc_step
-from needleplan.models.path._by_depth import BetweenDepths, BicycleByDepth
+from needleplan.models.path._by_depth import BetweenDepths, Bicycle, BicycleByDepth, arc_step
 from needleplan.models.path._displacement import bevel_direction, fixed_direction, path_displacement
 from needleplan.models.path._frame import TipFrame, Vector, axes_of, quaternion_of, quaternions_along
 from needleplan.models.path._image_plane import ImagePlane
 from needleplan.models.path._steered import SpatialBicycle, SteeredModel
-from needleplan.models.path._torsion import Torsion, dragged
-from needleplan.models.path._twist import TwistedShaft
+from needleplan.models.path._twist import Torsion, TwistedShaft, dragged
 
 __all__ = [
     "BetweenDepths",

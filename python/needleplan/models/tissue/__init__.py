@@ -11,10 +11,18 @@
 """
 
 from needleplan.models.tissue._joint_fit import fit_on_tissue, lag_with_sd, tissue_lag_rad, tissue_start
-from needleplan.models.tissue._moving import AveragedOnTissue, LuGreLaw, LumpedOnTissue, MovingTissue, PointwiseLaw
+from needleplan.models.tissue._moving import (
+    AveragedOnTissue,
+    FrictionLaw,
+    LuGreLaw,
+    LumpedOnTissue,
+    MovingTissue,
+    PointwiseLaw,
+    bristle_step,
+    stepping,
+)
 from needleplan.models.tissue._push import NeedlePush, TargetPush
 from needleplan.models.tissue._slow_observer import SlowObserver, TuningStatus, tune_slow_observer
-from needleplan.models.tissue._stepping import FrictionLaw, bristle_step, stepping
 
 __all__ = [
     "AveragedOnTissue",

@@ -31,7 +31,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from needleplan.artifacts import ShortRepr
-from needleplan.errors import Mistake, ModelError
+from needleplan.config import ConfigTable, Flag, Number, ruled
+from needleplan.errors import ModelError
 from needleplan.signals import Array
 
 __all__ = ["NeedlePush", "TargetPush"]
@@ -44,7 +45,7 @@ _PLACES, _WEIGHTS = np.polynomial.legendre.leggauss(16)
 
 
 @dataclass(frozen=True)
-class NeedlePush:
+class NeedlePush(ConfigTable, error=ModelError):
     """Elastic tissue around a needle, whose push displaces a target.
 
     The constructor raises ModelError unless modulus and radius are positive and finite, and nu is from 0 to 1/2.
@@ -68,21 +69,10 @@ class NeedlePush:
     2.51 mm, 0.24 mm
     """
 
-    shear_modulus_n_mm2: float
-    radius_mm: float
-    poisson: float = 0.5
-    free_surface: bool = True
-
-    def __post_init__(self) -> None:
-        mistakes = [
-            Mistake(name, f"{getattr(self, name):g}", "must be a number above 0")
-            for name in ("shear_modulus_n_mm2", "radius_mm")
-            if not 0 < getattr(self, name) < math.inf
-        ]
-        if not 0 <= self.poisson <= 0.5:
-            mistakes.append(Mistake("poisson", f"{self.poisson:g}", "must be from 0 to 0.5"))
-        if mistakes:
-            raise ModelError(mistakes, "push")
+    shear_modulus_n_mm2: float = ruled(Number("N/mm2", above=0))
+    radius_mm: float = ruled(Number("mm", above=0))
+    poisson: float = ruled(Number(at_least=0, at_most=0.5), 0.5)
+    free_surface: bool = ruled(Flag(), True)
 
     def _per_mm(self) -> float:
         """Return 1 / (16 pi G (1 - nu)), mm2/N."""

@@ -7,13 +7,13 @@ from needleplan.reports.diagnosis.effect_file import effect_file_text
 from needleplan.reports.diagnosis.folder import (
     FILES,
     MOST_TRIALS,
+    DiagnosisSource,
     diagnose_records,
     lines_of,
     next_trials_of,
     write_folder,
 )
 from needleplan.reports.diagnosis.motion_file import motion_problem, motion_text
-from needleplan.reports.diagnosis.source import DiagnosisSource
 from needleplan.reports.diagnosis.traces import traces_of
 
 __all__ = [

@@ -10,8 +10,7 @@ from needleplan.artifacts import FORMATS, FileKind, digest, json_values, version
 from needleplan.diagnosis import Curves, Diagnosis, FittedEffect, NextTrials, ranked_hypotheses
 from needleplan.models import Model
 from needleplan.reports.diagnosis.motion_file import motion_files
-from needleplan.reports.diagnosis.trace_file import trace_bytes
-from needleplan.reports.diagnosis.traces import TrialTrace, traces_of
+from needleplan.reports.diagnosis.traces import TrialTrace, trace_bytes, traces_of
 from needleplan.reports.diagnosis.words import advice, answer, title_of
 from needleplan.signals import UNITS, Role
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
 
@@ -32,82 +33,7 @@ _NODES_OF_PERIOD, _FINER = 3.0, 40
 _WAYS = {"advance": "(sign > 0)", "retraction": "(sign < 0)", "any": "1.0"}
 
 
-_TEMPLATE = '''\
-"""A draft of an effect for an unexplained gap. It describes the recordings, but does not explain the cause.
-
-{description}
-
-Find the physical cause, replace the body of `drawn` by its law, and set name, family, source and `enters`
-(TIP, SHAFT, TISSUE or SENSOR: where the effect acts). Then diagnose with this effect and all others:
-
-    needleplan diagnose MODEL.toml DATA... -o DIR --effects effect_to_name.py
-
-To add the effect to every command, install a package with an entry point of the group `needleplan.effects` that names
-EFFECT.
-"""
-
-from dataclasses import dataclass
-from typing import ClassVar
-
-import numpy as np
-from numpy import abs, cos, exp, interp, pi, sin  # noqa: A004, F401
-
-from needleplan.models.effects import Enters, Family, Term, TermEffect
-from needleplan.models import parameter
-
-
-def drawn(depth_mm, velocity_mm_s, sign, time_s, force_n, dwell_s, position_mm, acceleration_mm_s2):
-    """Missing force (N), scaled to an RMS of 1 N in the training data.
-
-    depth_mm is 0 in the air, position_mm is not. sign is +1 during insertion and -1 during retraction, and keeps its
-    value during a dwell. force_n is the force of the model without the effect. dwell_s is the time since the needle
-    came to rest, and 0 in motion.
-    """
-    return {expression}
-
-
-@dataclass(frozen=True, kw_only=True)
-class Draft(Term):
-    """The draft: an effect without internal state."""
-
-    name: ClassVar[str] = {name}
-    order: ClassVar[int] = 0
-    size: float = parameter("N", -20, 20, "RMS of the missing force", typical={typical!r})
-
-    def initial(self, motion):
-        """Return the initial internal state: empty."""
-        return np.zeros(0)
-
-    def rate(self, state, motion):
-        """Return the rate of the internal state: empty."""
-        return state
-
-    def states(self, motion, start):
-        """Return the internal states along the motion: shape (0, samples)."""
-        return np.zeros((0, len(motion)))
-
-    def shape(self, state, motion, plain):
-        """Return the added force (N) at size 1, shape (samples,)."""
-        depth = np.maximum(np.asarray(motion.depth_mm, float), 0.0)
-        time = np.asarray(motion.time_s, float)
-        velocity = np.asarray(motion.velocity_mm_s, float)
-        dwell = time - np.maximum.accumulate(np.where(np.abs(velocity) > 1e-9, time, time[0]))
-        acceleration = np.gradient(velocity, time) if len(time) > 1 else 0.0 * velocity
-        rows = velocity, motion.direction, time, plain, dwell, motion.depth_mm, acceleration
-        return np.asarray(drawn(depth, *(np.asarray(row, float) for row in rows)) + np.zeros_like(depth))
-
-
-EFFECT = TermEffect(
-    name={name},
-    title="draft: a gap along {axis}",
-    family=Family.TISSUE,
-    enters=Enters.SHAFT,
-    equation={equation},
-    meaning="A gap along {axis}, described but not explained.",
-    source="effect_to_name.py of a diagnosis",
-    term=Draft,
-)
-'''
+_TEMPLATE = Path(__file__).with_name("effect_draft.txt")
 
 
 def effect_file_text(course: Curves, name: str = "my_effect") -> str:
@@ -131,7 +57,7 @@ def effect_file_text(course: Curves, name: str = "my_effect") -> str:
         what = f"a table along the {axis}"
         description = f"The gap depends on the {axis}. The table below is its curve within the visited range."
         expression, size = _table(course.axis, course, course.rms), course.rms
-    return _TEMPLATE.format(
+    return _TEMPLATE.read_text(encoding="utf-8").format(
         description=description,
         expression=expression,
         name=json.dumps(name),

@@ -1,12 +1,17 @@
-"""Diagnosis of recordings and output files of `needleplan diagnose`."""
+"""Diagnosis of recordings and output files of `needleplan diagnose`.
+
+How a diagnosis was made: model, recordings and options, as `diagnosis.json` keeps them.
+"""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
-from needleplan.artifacts import write_whole
+from needleplan.artifacts import CallRepr, write_whole
 from needleplan.diagnosis import (
     Diagnosis,
     FindingKind,
@@ -24,11 +29,56 @@ from needleplan.reports.diagnosis.document import whole_document
 from needleplan.reports.diagnosis.effect_file import effect_file_text
 from needleplan.reports.diagnosis.motion_file import motion_files
 from needleplan.reports.diagnosis.report import report_of
-from needleplan.reports.diagnosis.source import DiagnosisSource
 from needleplan.reports.diagnosis.traces import traces_of
 from needleplan.signals import Record
 
-__all__ = ["FILES", "MOST_TRIALS", "diagnose_records", "lines_of", "next_trials_of", "write_folder"]
+__all__ = ["FILES", "MOST_TRIALS", "DiagnosisSource", "diagnose_records", "lines_of", "next_trials_of", "write_folder"]
+
+
+@dataclass(frozen=True)
+class DiagnosisSource(CallRepr):
+    """Files and options of a diagnosis, as they were given to `needleplan diagnose`.
+
+    Attributes
+    ----------
+    model
+        The model file.
+    data, holdout, reference, noise
+        Files of recordings: with the roles that they state, of held-out trials, of trials without the effects, of the
+        sensor at rest.
+    columns, surface_mm
+        Columns and units of foreign files, and the reading of the depth at the surface of the tissue.
+    rate_hz
+        Rate to which all trials were interpolated; None if they were used as recorded.
+    accept_units
+        Whether implausible sizes were accepted.
+    effects
+        Python files of further effects.
+    frame
+        Frame of the files that do not say it; None if none was given.
+    without_references, strict
+        Whether the recordings from which the model was identified were no references, and whether the diagnosis of the
+        references could be the result.
+    """
+
+    model: str
+    data: tuple[str, ...]
+    holdout: tuple[str, ...] = ()
+    noise: tuple[str, ...] = ()
+    columns: tuple[str, ...] = ()
+    surface_mm: float | None = None
+    rate_hz: float | None = None
+    accept_units: bool = False
+    effects: tuple[str, ...] = ()
+    frame: str | None = None
+    reference: tuple[str, ...] = ()
+    without_references: bool = False
+    strict: bool = False
+
+    def document(self) -> dict[str, Any]:
+        """Return the entry `source` of `diagnosis.json`, as a dictionary of JSON values."""
+        return {name: list(value) if isinstance(value, tuple) else value for name, value in asdict(self).items()}
+
 
 MOST_TRIALS = 10
 """Largest number of trials that are proposed together: an afternoon's work."""
@@ -93,7 +143,8 @@ def write_folder(
         if motion.text:
             written.append(place / motion.name)
             write_whole(written[-1], motion.text.encode())
-    if found.verdict in (Verdict.NAMED, Verdict.CHANGED) or (merge_anyway and found.likely):
+    changed = found.verdict is Verdict.CHANGED and not found.keeps_given
+    if found.verdict is Verdict.NAMED or changed or (merge_anyway and found.likely):
         model = found.merged(anyway=merge_anyway)
         digests = {
             each.trial: each.digest

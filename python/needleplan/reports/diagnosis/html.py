@@ -6,28 +6,11 @@ import base64
 import math
 from collections.abc import Iterable, Sequence
 from html import escape
+from pathlib import Path
 
 __all__ = ["heading", "items", "page", "paragraph", "picture", "table"]
 
-_STYLE = """
-:root { color-scheme: light; }
-body { font: 16px/1.5 system-ui, sans-serif; color: #1a1a1a; background: #fff; max-width: 52rem; margin: 2rem auto;
-  padding: 0 1rem; }
-h1 { font-size: 1.6rem; line-height: 1.25; }
-h2 { font-size: 1.2rem; margin-top: 2.2rem; border-bottom: 1px solid #bbb; }
-h3 { font-size: 1rem; margin-bottom: .3rem; }
-.scroll { overflow-x: auto; }
-table { border-collapse: collapse; margin: .7rem 0; font-size: .88rem; }
-caption { text-align: left; color: #444; padding: .2rem 0; white-space: nowrap; }
-th, td { text-align: left; vertical-align: top; padding: .2rem .7rem .2rem 0; border-bottom: 1px solid #ddd; }
-td.number { text-align: right; font-variant-numeric: tabular-nums; white-space: nowrap; }
-figure { margin: .8rem 0; } img { max-width: 100%; height: auto; } figcaption { color: #444; font-size: .88rem; }
-.answer { border-left: .4rem solid #0072B2; padding: .1rem 0 .1rem 1rem; background: #f3f7fa; }
-code { font-size: .9em; overflow-wrap: anywhere; }
-a { color: #00527f; }
-@media print { body { max-width: none; margin: 0; font-size: 10pt; } figure, tr { break-inside: avoid; }
-  h2, h3 { break-after: avoid; } .scroll { overflow: visible; } caption { white-space: normal; } }
-"""
+_STYLE = Path(__file__).with_name("report.css")
 
 
 def page(title: str, body: Iterable[str]) -> str:
@@ -42,7 +25,7 @@ def page(title: str, body: Iterable[str]) -> str:
         "<meta http-equiv=\"Content-Security-Policy\" content=\"default-src 'none'; img-src data:; "
         "style-src 'unsafe-inline'\">",
         f"<title>{escape(title)}</title>",
-        f"<style>{_STYLE}</style>",
+        f"<style>{_STYLE.read_text(encoding='utf-8')}</style>",
         "</head>",
         "<body>",
         "<main>",

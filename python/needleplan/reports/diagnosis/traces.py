@@ -1,18 +1,29 @@
-"""Measured and modelled output and residuals of every trial, for figures."""
+"""Measured and modelled output and residuals of every trial, for figures.
+
+`traces.h5`: measured and modelled output of every trial of a diagnosis, for `needleplan view` and other programs.
+"""
 
 from __future__ import annotations
 
+import io
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
+import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from needleplan.artifacts import ShortRepr
+from needleplan.artifacts import ShortRepr, version
 from needleplan.diagnosis import Diagnosis, MotionPhase, motion_phases, residuals_of
-from needleplan.signals import Array, Motion, Role
+from needleplan.models import Channel
+from needleplan.signals import UNITS, Array, Motion, Role
 
-__all__ = ["TrialTrace", "correlation", "gap_map", "traces_of"]
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
+
+__all__ = ["TRACES_SCHEMA", "TrialTrace", "correlation", "gap_map", "trace_bytes", "traces_of"]
+
 
 # Number of depth bins of the map.
 _DEPTHS = 10
@@ -103,3 +114,43 @@ def correlation(traces: Sequence[TrialTrace], lags: int, *, after: bool) -> tupl
     products = np.array([sum(float(row[lag:] @ row[:-lag]) for row in rows) for lag in range(1, lags + 1)])
     samples = sum(map(len, rows))
     return products / max(sum(float(row @ row) for row in rows), 1e-12), 2.576 / float(np.sqrt(samples))
+
+
+TRACES_SCHEMA = "needleplan.traces/1"
+"""Attribute `schema` of `traces.h5`."""
+
+
+def trace_bytes(channel: Channel, diagnosis: str, traces: Sequence[TrialTrace], next_: Motion | None) -> bytes:
+    """Return the content of `traces.h5`: one group for each trial, in the order of `traces`, and the next motion.
+
+    `diagnosis` is the digest of the diagnosis.
+
+    A group `trial N` has the attributes `trial` and `role` and the datasets `time_s`, `depth_mm`, and `measured`,
+    `before` and `after` of shape (axes, samples) in the unit of the channel. `after` is missing if no effect was added.
+    """
+    content = io.BytesIO()
+    with h5py.File(content, "w") as file:
+        file.attrs["schema"] = TRACES_SCHEMA
+        file.attrs["made_by"] = f"needleplan {version()}"
+        file.attrs["diagnosis"] = diagnosis
+        file.attrs["columns"] = list(channel.columns)
+        file.attrs["unit"] = UNITS[channel.columns[0]]
+        for number, each in enumerate(traces):
+            group = file.create_group(f"trial {number}")
+            group.attrs["trial"] = each.trial
+            group.attrs["role"] = str(each.role)
+            _put(group, "time_s", each.motion.time_s)
+            for name in ("measured", "before", "after"):
+                if (values := getattr(each, name)) is not None:
+                    _put(group, name, values)
+            _put(group, "depth_mm", each.motion.depth_mm)
+        if next_:
+            group = file.create_group("next motion")
+            _put(group, "time_s", next_.time_s)
+            _put(group, "depth_mm", next_.depth_mm)
+    return content.getvalue()
+
+
+def _put(group: h5py.Group, name: str, values: ArrayLike) -> None:
+    kind = np.float64 if name == "time_s" else np.float32
+    group.create_dataset(name, data=np.asarray(values, kind), compression="gzip", shuffle=True)

@@ -90,11 +90,10 @@ def advice(diagnosis: Diagnosis, next_: NextTrials | None) -> Iterator[str]:
     match diagnosis.verdict:
         case Verdict.NAMED:
             yield "From now on, use model.toml in the folder of this page: it contains the named effects."
+        case Verdict.CHANGED if diagnosis.keeps_given:
+            yield "Keep the given model: it predicts trials that were not fitted better than the calibrated one."
         case Verdict.CHANGED:
-            yield (
-                "Use model.toml in the folder of this page, which has the parameters of these recordings. Where a law "
-                "differs, replace it in the model."
-            )
+            yield "Use model.toml in the folder of this page, which has the parameters and laws of these recordings."
         case Verdict.INCOMPLETE:
             yield motion or "Diagnose again with more trials of other motions."
         case Verdict.AMBIGUOUS if diagnosis.lacks_data:
