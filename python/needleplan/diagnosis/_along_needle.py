@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from scipy import stats
 
-from needleplan.models import Model, SteeredModel, simulate
+from needleplan.models import Model, ModelFile, SteeredModel, simulate
 from needleplan.models.deflection import FibreSensors
 from needleplan.models.effects import AugmentedModel
 from needleplan.models.path import ImagePlane
@@ -23,11 +23,9 @@ _CLEAR = 3.0
 _SHARED_MM = 5.0
 
 
-def sensor_remarks(
-    model: Model, records: Sequence[Record], fibre: FibreSensors | None, plane: ImagePlane | None
-) -> list[str]:
-    """Return the remarks of `curvature_remarks` and `image_remarks`."""
-    return [*curvature_remarks(model, records, fibre), *image_remarks(model, records, plane)]
+def sensor_remarks(model: Model, records: Sequence[Record], file: ModelFile) -> list[str]:
+    """Return the remarks of `curvature_remarks` and `image_remarks`, with the sensors of a model file."""
+    return [*curvature_remarks(model, records, file.fibre), *image_remarks(model, records, file.ultrasound)]
 
 
 def curvature_remarks(model: Model, records: Sequence[Record], fibre: FibreSensors | None) -> Iterator[str]:

@@ -194,8 +194,7 @@ def diagnose(
         given=file.model, laws=tuple(laws),
     )  # fmt: skip
     found = replace(found, decision=_accounted(found))
-    sensed = sensor_remarks(found.model, records, file.fibre, file.ultrasound)
-    return replace(found, remarks=(*remarks, *sensed, *_kept(found)))
+    return replace(found, remarks=(*remarks, *sensor_remarks(found.model, records, file), *_kept(found)))
 
 
 def _require_type(kind: type, value: object, name: str) -> None:
