@@ -248,21 +248,24 @@ def test_it_moves_only_while_the_switch_is_held(robot: Inserted, insecure: tuple
         port = found.getsockname()[1]
     stopping, at_mm = threading.Event(), []
 
-    def hold(seconds: float, held: bool) -> None:
-        end_s = time.monotonic() + seconds
-        while time.monotonic() < end_s and not stopping.is_set():
+    def hold(held: bool, until: Callable[[], bool]) -> None:
+        while not until() and not stopping.is_set():
             sender.send(held=held)
             time.sleep(0.02)
 
+    def after(seconds: float) -> Callable[[], bool]:
+        end_s = time.monotonic() + seconds
+        return lambda: time.monotonic() >= end_s
+
     def person() -> None:
-        hold(1.0, False)
+        hold(False, after(1.0))
         at_mm.append(robot.depth_mm)
-        hold(0.6, True)
-        hold(0.6, False)
+        hold(True, lambda: robot.depth_mm < 17.0)
+        hold(False, lambda: stays(robot))
         at_mm.append(robot.depth_mm)
-        hold(0.3, False)
+        hold(False, after(0.3))
         at_mm.append(robot.depth_mm)
-        hold(30.0, True)
+        hold(True, lambda: False)
 
     with ExitStack() as stack:
         (tmp_path / "key").write_text("5a" * 32)
@@ -279,7 +282,7 @@ def test_it_moves_only_while_the_switch_is_held(robot: Inserted, insecure: tuple
     assert done.returncode == 0, done.stderr
     before_mm, between_mm, still_mm = at_mm
     assert before_mm == pytest.approx(20.0, abs=0.1)
-    assert 1.0 < between_mm < 19.0
+    assert 1.0 < between_mm < 17.0
     assert still_mm == between_mm
     assert robot.depth_mm == pytest.approx(0.0, abs=0.1)
 
