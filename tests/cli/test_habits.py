@@ -78,7 +78,7 @@ def test_every_command_starts(command: str, folder: Path) -> None:
     elif STARTS[command] in (("ch7",), ("tcsh",)):
         refused(done, STARTS[command][0], "must be one of")
     elif "nan" in STARTS[command]:
-        refused(done, "--seconds = nan: must be above 0")
+        refused(done, "--seconds = nan: must be a finite number")
     else:
         assert done.returncode == 0, done.stderr
         assert done.stdout or command == "new"

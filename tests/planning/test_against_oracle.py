@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 import pytest
 import shapely
-from hypothesis import HealthCheck, assume, given, reject, settings
+from hypothesis import HealthCheck, Phase, assume, given, reject, settings
 from hypothesis import strategies as st
 from oracle_arc import FREE, Problem, arc_point, edge_distance, problem_from
 from oracle_cases import NPZ_NAME, VARIANTS, case, four_obstacles, mirrored, npz_path, toml_text
@@ -29,11 +29,13 @@ npl = pytest.importorskip("needleplan")
 METHODS = ("sweep", "ppvi", "vi")
 MARGIN_MM = 1e-6
 SWEEPS = 5000  # of the oracle: a random scenario whose policy hardly ends would take it many minutes
+HARDLY_ENDS = 0.02  # success may differ by this where the planner says that it proves nothing
 random_cases = settings(
     max_examples=int(os.environ.get("NEEDLEPLAN_EXAMPLES", "12")),
     deadline=None,
     suppress_health_check=list(HealthCheck),
     derandomize="NEEDLEPLAN_EXAMPLES" not in os.environ,
+    phases=set(Phase) - {Phase.shrink, Phase.explain},  # a smaller example takes the oracle many minutes to find
 )
 
 
@@ -151,8 +153,8 @@ def assert_agrees(table: Any, mdp: Mdp, solution: Solution) -> None:
     except NotConverged:
         reject()
     assert difference <= proven + 1e-6
-    # Short straight steps along a grid line hardly leave their cell: then the sweeps may end early, with the bound 1.
-    assert difference <= 1e-4 or (mdp.straight is not None and proven == 1.0)
+    # A policy that hardly ends from some state has the bound 1 there: then the sweeps may end early.
+    assert difference <= (1e-4 if proven < 1.0 else HARDLY_ENDS)
 
 
 @pytest.mark.parametrize("method", METHODS)
