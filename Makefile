@@ -35,20 +35,20 @@ export PYTHONDONTWRITEBYTECODE :=
 # processor time; only the slow tests, a quarter of whose time is waiting for robots and pages, gain by it. OpenBLAS with threads of its own would make small matrices several times slower.
 python test-slow studies: export OPENBLAS_NUM_THREADS := 1
 
-# Collecting all tests for five would take longer than they do.
-REALTIME := $(shell grep --recursive --files-with-matches --include='test_*.py' '^@pytest.mark.realtime$$' tests)
+# Each process collects the tests by itself, so it gets no more files than it needs.
+marked = $(shell grep --recursive --files-with-matches --include='test_*.py' 'mark\.$(1)\b' tests)
 
 # The tests marked slow.
 test-slow: install-test
-	$(BIN)/python -m pytest -m "slow and not study" -n 3 --dist worksteal
-	$(BIN)/python -m pytest -m realtime $(REALTIME)
+	$(BIN)/python -m pytest -m "slow and not study" -n 3 --dist worksteal $(call marked,slow)
+	$(BIN)/python -m pytest -m realtime $(call marked,realtime)
 
 # Statistics of many runs: how often intervals hold, promises against executions, blind data sets, measured
 # insertions, the thesis, and the site with its scenes and notebooks; bounds on hundreds of random problems; the numerical
 # tests as on another kind of processor, the oldest Rust, and instruction counts, which compile the solver twice where no
 # counts of this processor are known.
 studies: install-test
-	$(BIN)/python -m pytest -m study -n 2 --dist worksteal
+	$(BIN)/python -m pytest -m study -n 2 --dist worksteal $(call marked,study)
 	$(MAKE) --jobs=2 --output-sync=line bounds processors msrv guard
 
 # The documentation site, in out/site/html.

@@ -69,19 +69,24 @@ def test_the_test_commands_run_everything(target: str, tools: tuple[str, ...], m
     assert done.returncode == 0, done.stderr
     for tool in tools:
         assert tool in done.stdout
-    # All tests with or without the mark: no path and no other option selects fewer.
+    # All tests with or without the mark: no other option selects fewer, and the files are all that contain the mark.
     found = [each for each in done.stdout.splitlines() if "pytest" in each and "--collect-only" not in each]
     lines = [shlex.split(each)[1:] for each in found]
     processes = "3" if target == "test-slow" else "2"
-    assert lines[0] == ["-m", "pytest", "-m", marker, "-n", processes, "--dist", "worksteal"]
-    if target != "test-slow":
-        assert lines[1:] == []
-    else:
-        (options,) = lines[1:]
-        assert options[:4] == ["-m", "pytest", "-m", "realtime"]
-        files = (pages.ROOT / "tests").rglob("test_*.py")
-        marked = {file for file in files if "\n@pytest.mark.realtime\n" in file.read_text(encoding="utf-8")}
-        assert {pages.ROOT / name for name in options[4:]} == marked
+    commands = [["-m", "pytest", "-m", marker, "-n", processes, "--dist", "worksteal"]]
+    marks = {"test": [""], "test-slow": ["slow", "realtime"], "studies": ["study"]}[target]
+    if target == "test-slow":
+        commands.append(["-m", "pytest", "-m", "realtime"])
+    for line, command, mark in zip(lines, commands, marks, strict=True):
+        assert line[: len(command)] == command
+        assert {pages.ROOT / name for name in line[len(command) :]} == files_with(mark)
+
+
+def files_with(mark: str) -> set[Path]:
+    """Return the files that contain a mark; all are files of tests, so that no other file marks tests for them."""
+    files = {file for file in (pages.ROOT / "tests").rglob("*.py") if mark and f"mark.{mark}" in file.read_text()}
+    assert all(file.name.startswith("test_") for file in files)
+    return files
 
 
 @pytest.mark.slow

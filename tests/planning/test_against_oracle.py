@@ -2,7 +2,7 @@
 
 The common ground is the text of the scenario file: the planner reads it, and the oracle reads what tomllib returns.
 Scenarios in which a rounding error decides an event or the nearest grid point are left out: there the definition
-is silent. `NEEDLEPLAN_EXAMPLES` sets the number of random scenarios (default 25 a test).
+is silent. `NEEDLEPLAN_EXAMPLES` sets the number of random scenarios (default 12 a test).
 """
 
 import math
@@ -28,7 +28,7 @@ npl = pytest.importorskip("needleplan")
 
 METHODS = ("sweep", "ppvi", "vi")
 MARGIN_MM = 1e-6
-SWEEPS = 5000  # of the oracle: a random scenario whose policy hardly ends would take it many minutes
+SWEEPS = 1000  # of the oracle: a random scenario whose policy hardly ends would take it many minutes
 HARDLY_ENDS = 0.02  # success may differ by this where the planner says that it proves nothing
 random_cases = settings(
     max_examples=int(os.environ.get("NEEDLEPLAN_EXAMPLES", "12")),
