@@ -193,6 +193,16 @@ def test_one_option_has_one_name_and_one_unit() -> None:
         assert not [each for each, action in options.items() if "RAD" in str(action.metavar) and each in shown], name
 
 
+def test_an_option_of_several_values_that_is_repeated_loses_none() -> None:
+    for name, parser in COMMANDS.items():
+        for action in parser._actions:
+            if action.option_strings and action.nargs in ("*", "+"):
+                option, values = action.option_strings[0], argparse.Namespace(**{action.dest: None})
+                for value in ("one", "two"):
+                    action(parser, values, [value], option)
+                assert "one" in str(getattr(values, action.dest)), f"{name} {option}"
+
+
 @pytest.mark.slow
 def test_the_summary_has_five_lines(folder: Path, tmp_path: Path) -> None:
     for arguments in (
