@@ -25,7 +25,12 @@ def add_to(commands: Any) -> None:
     )
     parser.add_argument("path", metavar="PATH", help="file of the insertion that has begun, .csv, .h5 or .mat")
     parser.add_argument(
-        "--earlier", dest="data", action="extend", nargs="+", required=True, metavar="DATA",
+        "--earlier",
+        dest="data",
+        action="extend",
+        nargs="+",
+        required=True,
+        metavar="DATA",
         help="files of the earlier insertions, in the order of their times; may be repeated",
     )
     parser.add_argument(
