@@ -69,6 +69,11 @@ REFUSED = {
         changed(time_s=lambda values: np.where(NUMBERS > 60, values - 20, values)), "must be greater than the time"
     ),
     "guide in mm": (stepwise(INSERTIONS[3], 9000, guide_m=-25.0), "are they in mm?"),
+    "published and cut off": (stepwise(INSERTIONS[3], 9000)[:-30], "line 121 = "),
+    "published with a word": (stepwise(INSERTIONS[3], 9000).replace(",0.02,", ",left,", 1), "Robot z (line 2) = left"),
+    "published with decimal commas": (
+        stepwise(INSERTIONS[3], 9000).replace(",", ";").replace(".", ","), "must be a number with a decimal point"
+    ),
     "no guide": (stepwise(INSERTIONS[3], 9000, guide_m=None), "frame of last = unknown"),
 }  # fmt: skip
 SAID = {
@@ -88,11 +93,11 @@ def identified(folder: Path, last: str) -> int:
     """Identify three good insertions and the last one, in the format of the last one."""
     files = []
     for number, name in enumerate(("one", "two", "three")):
-        published = last.startswith("Timestamp")
+        published = last.removeprefix("\ufeff").startswith("Timestamp")
         good = stepwise(INSERTIONS[number], 8000 + 200 * number) if published else text(columns(INSERTIONS[number]))
         files.append(folder / f"{name}.csv")
         files[-1].write_text(good)
-    (folder / "last.csv").write_text(last)
+    (folder / "last.csv").write_text(last, encoding="utf-8")
     words = ("--layers", "1", "--segments", "1", "--verbose")
     return main(["identify", "curvature", *map(str, files), str(folder / "last.csv"), *words])
 
@@ -114,8 +119,9 @@ def test_it_is_said(case: str, tmp_path: Path, capsys: pytest.CaptureFixture[str
     assert expected in capsys.readouterr().out
 
 
-def test_a_good_one_is_not_accused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert identified(tmp_path, stepwise(INSERTIONS[3], 8600)) == 0
+@pytest.mark.parametrize("mark", ["", "\ufeff"], ids=["plain", "with a byte order mark"])
+def test_a_good_one_is_not_accused(mark: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert identified(tmp_path, mark + stepwise(INSERTIONS[3], 8600)) == 0
     said = capsys.readouterr().out
     assert not any(word in said for word in ("beside", "one frame", "in metres", "it limits", "hours after"))
 

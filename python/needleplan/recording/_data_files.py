@@ -5,9 +5,8 @@ Step-wise insertions of the data set maribernardes/mpc_stepwise_trajcontrol: tip
 
 from __future__ import annotations
 
-import csv
-import io
 import os
+import re
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
@@ -21,11 +20,11 @@ from needleplan.recording._align import resampled
 from needleplan.recording._column_map import ColumnMap
 from needleplan.recording._foreign_file import parse_foreign, with_velocity
 from needleplan.recording.columns import questionable_units
-from needleplan.recording.csv_file import parse_csv, to_csv
+from needleplan.recording.csv_file import number_in, parse_csv, rows_of_cells, to_csv
 from needleplan.recording.hdf5_file import parse_hdf5, to_hdf5
 from needleplan.recording.mat_file import MAT_BEGINS, parse_mat, to_mat
 from needleplan.recording.table import DataTable, records_of
-from needleplan.signals import FrameName, Record, RecordFrame, Role
+from needleplan.signals import Array, FrameName, Record, RecordFrame, Role
 
 __all__ = [
     "PathLike",
@@ -42,12 +41,15 @@ _STEPWISE = ("Timestamp sec", "Timestamp nanosec", "Tip x", "Tip y", "Tip z", "T
 _GUIDE = ("Robot x", "Robot z", "Robot sec")
 # Largest distance (mm) of a needle guide from the origin of a study.
 _FARTHEST_MM = 2000.0
+# Number of mistakes of a file that are told.
+_MOST_MISTAKES = 10
+_NUMBER = "must be a number with a decimal point, or empty"
 
 
 def is_stepwise_insertion(content: bytes) -> bool:
     """Return whether the bytes of a file begin with the header of a stepwise insertion."""
-    names = {cell.strip() for cell in content.partition(b"\n")[0].decode("utf-8", "replace").split(",")}
-    return names.issuperset(_STEPWISE)
+    header = content.partition(b"\n")[0].decode("utf-8-sig", "replace")
+    return {cell.strip() for cell in re.split("[,;\t]", header)}.issuperset(_STEPWISE)
 
 
 def parse_stepwise_insertion(content: bytes, source: str) -> Record:
@@ -58,13 +60,9 @@ def parse_stepwise_insertion(content: bytes, source: str) -> Record:
     Times are the measurement times of the tip since the first one. Rows without a tip and rows that repeat a
     measurement are left out and counted in the notes.
     """
-    rows = list(csv.reader(io.StringIO(content.decode("utf-8", "replace").replace("\0", ""))))
-    header = [cell.strip() for cell in rows[0]]
+    _, [(_, header), *rows] = rows_of_cells(content.replace(b"\0", b""), source)
     names = _STEPWISE + _GUIDE * (set(_GUIDE) <= set(header))
-    try:
-        table = np.array([[float(row[header.index(name)]) for name in names] for row in rows[1:] if row])
-    except (ValueError, IndexError) as error:
-        raise DataError(f"has a row that does not hold numbers: {error}", source) from None
+    table = _numbers(rows, header, names, source)
     if len(table) < 2:
         raise DataError("has fewer than two rows", source)
     _, _, x, y, z, seconds, nanoseconds, *guide = table.T
@@ -89,6 +87,24 @@ def parse_stepwise_insertion(content: bytes, source: str) -> Record:
     columns = {"time_s": time[new] - time[new][0], "depth_mm": -y[new], "x_mm": -y[new], "y_mm": x[new], "z_mm": z[new]}
     begun_s = float(seconds[new][0] + 1e-9 * nanoseconds[new][0])
     return Record(columns, Path(source).stem, digest=digest(content), notes=tuple(notes), frame=frame, begun_s=begun_s)
+
+
+def _numbers(rows: Sequence[tuple[int, list[str]]], header: Sequence[str], names: Sequence[str], source: str) -> Array:
+    """Return the numbers of some columns, shape (rows, names); an empty cell is NaN.
+
+    Raises DataError with the lines that have too few cells, and the cells that hold no number.
+    """
+    places = {name: header.index(name) for name in names}
+    wrong = [
+        Mistake(f"line {n}", f"{len(row)} cells", f"must have {len(header)}")
+        for n, row in rows
+        if len(row) < len(header)
+    ]
+    cells = [(n, name, row[place]) for n, row in rows if len(row) >= len(header) for name, place in places.items()]
+    wrong += [Mistake(f"{name} (line {n})", cell, _NUMBER) for n, name, cell in cells if number_in(cell) is None]
+    if wrong:
+        raise DataError(wrong[:_MOST_MISTAKES], source)
+    return np.array([number_in(cell) for _, _, cell in cells], float).reshape(-1, len(names))
 
 
 _HDF5 = b"\x89HDF\r\n\x1a\n"
