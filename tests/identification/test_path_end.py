@@ -109,6 +109,23 @@ def test_what_cannot_be_predicted_is_refused() -> None:
         predict_end(elsewhere, earlier, layers=1)
 
 
+def test_files_and_tables_are_taken_as_records_are(tmp_path: Path) -> None:
+    now = insertion("now", 0.0012, 0.03, seed=23)
+    write_records(EARLIER, tmp_path / "earlier.csv")
+    write_records([now], tmp_path / "now.csv")
+    expected = predict_end(now, EARLIER, until_mm=50, layers=1)
+    for beginning, earlier in (
+        (tmp_path / "now.csv", str(tmp_path / "earlier.csv")),
+        (dict(now.columns), [dict(each.columns) for each in EARLIER]),
+    ):
+        end = predict_end(beginning, earlier, until_mm=50, layers=1)
+        assert end.y_mm == pytest.approx(expected.y_mm)
+    with pytest.raises(DataError, match="must hold one insertion, not 3"):
+        predict_end(EARLIER, now, layers=1)
+    with pytest.raises(DataError, match="must hold one insertion, not 0"):
+        predict_end([], now, layers=1)
+
+
 @pytest.mark.slow
 def test_the_command(tmp_path: Path) -> None:
     write_records(EARLIER, tmp_path / "earlier.csv")

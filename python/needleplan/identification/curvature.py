@@ -31,7 +31,7 @@ _MOST_LAYERS = 4
 
 
 def identify(
-    records: Sequence[Record],
+    records: object,
     *,
     segments: int = 2,
     plane: str = "xy",
@@ -46,7 +46,7 @@ def identify(
 
     Parameters
     ----------
-    records
+    records : Record, table of columns such as a DataFrame, path of a data file, or list of these
         Insertions with time_s, x_mm (along the insertion; depth_mm if there is none) and y_mm, or z_mm for the plane
         xz. Trials with the role holdout validate the estimate. Trials of noise are left out. The insertions
         are a series: give them in the order of their times, unless their files have the times.

@@ -59,7 +59,7 @@ TISSUE = ElasticTissue(3.87e-3, 123.9e-6)
 
 
 def identify(
-    records: Sequence[Record],
+    records: object,
     *,
     needle: NeedleShaft | None = None,
     tissue: ElasticTissue | None = None,
@@ -73,7 +73,7 @@ def identify(
 
     Parameters
     ----------
-    records
+    records : Record, table of columns such as a DataFrame, path of a data file, or list of these
         Trials with depth_mm and y_mm in the plane of bending, and force_n and angle_rad if measured. Trials with the
         role holdout validate the model.
     needle

@@ -114,14 +114,12 @@ def curvature_by_duty(duty: Array, curvature_per_mm: Array, sd_per_mm: Array) ->
     return CurvatureByDuty(regress(design, curvature_per_mm, sd_per_mm), bend)
 
 
-def identify(
-    records: Sequence[Record], *, plane: str = "xy", skip_mm: float = 0.0, duty: float = 1.0
-) -> Identification:
+def identify(records: object, *, plane: str = "xy", skip_mm: float = 0.0, duty: float = 1.0) -> Identification:
     """Identify the curvature by duty cycle from insertions with several duty cycles.
 
     Parameters
     ----------
-    records
+    records : Record, table of columns such as a DataFrame, path of a data file, or list of these
         Trials with `duty_cycle`, constant in each trial, the lateral position of the tip, and `x_mm` or `depth_mm`.
         The bevel is to the same side in all of them. The arc through each is one curvature.
     plane

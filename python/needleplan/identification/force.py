@@ -35,7 +35,7 @@ _EDGE = 1.01
 
 
 def identify(
-    records: Sequence[Record],
+    records: object,
     *,
     start: DepthForce | None = None,
     average: int = 5,
@@ -47,7 +47,7 @@ def identify(
 
     Parameters
     ----------
-    records
+    records : Record, table of columns such as a DataFrame, path of a data file, or list of these
         Trials with time_s, depth_mm and force_n, and velocity_mm_s if measured. Trials with the role holdout validate
         the fit; trials of noise give the noise of the sensor.
     start

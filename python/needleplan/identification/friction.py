@@ -37,7 +37,7 @@ _SAME_RMSE = 0.1
 
 
 def identify(
-    records: Sequence[Record],
+    records: object,
     *,
     thickness_mm: float = 76.0,
     skip_cycles: int = 1,
@@ -52,7 +52,7 @@ def identify(
 
     Parameters
     ----------
-    records
+    records : Record, table of columns such as a DataFrame, path of a data file, or list of these
         Trials with time_s, depth_mm and force_n, and velocity_mm_s if measured. Trials with the role holdout validate
         the models. Without such trials, the last cycle of each trial validates, and the chosen model is fitted again to
         all cycles.

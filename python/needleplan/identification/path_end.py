@@ -36,6 +36,7 @@ from needleplan.identification._shape_choice import shaped_paths
 from needleplan.identification.population import deviation_mm, next_insertion
 from needleplan.models.deflection import FibreSensors
 from needleplan.models.path import ImagePlane
+from needleplan.recording import read_records
 from needleplan.signals import IMAGE_COLUMNS, Array, Record, Role, records_of, require_one_frame
 
 __all__ = ["PredictedEnd", "predict_end"]
@@ -138,8 +139,8 @@ class PredictedEnd(ShortRepr):
 
 
 def predict_end(
-    beginning: Record,
-    earlier: Sequence[Record],
+    beginning: object,
+    earlier: object,
     *,
     depth_mm: float | None = None,
     until_mm: float | None = None,
@@ -153,9 +154,9 @@ def predict_end(
 
     Parameters
     ----------
-    beginning : Record
+    beginning : Record, table of columns such as a DataFrame, or path of a data file
         The insertion: time_s, depth_mm (or x_mm) and y_mm in mm; also z_mm if all records have it.
-    earlier : sequence of Record
+    earlier : list of these
         Earlier insertions of the needle into the same tissue, in the same frame.
     depth_mm : float, optional
         Depth of the end. Default: the depth that all earlier insertions reach.
@@ -200,8 +201,11 @@ def predict_end(
     for name, value in (("depth_mm", depth_mm), ("until_mm", until_mm)):
         if value is not None and not 0 < value < np.inf:
             raise DataError(Mistake(name, f"{value:g}", "must be a finite number of mm above 0"))
-    (record,) = records_of(beginning)
-    trials, remarks = in_order([replace(each, role=Role.TRAIN) for each in records_of(earlier)])
+    begun = records_of(beginning, read_records)
+    if len(begun) != 1:
+        raise DataError(Mistake("beginning", "", f"must hold one insertion, not {len(begun)}"))
+    (record,) = begun
+    trials, remarks = in_order([replace(each, role=Role.TRAIN) for each in records_of(earlier, read_records)])
     require_one_frame([record, *trials])
     require_different([record, *trials])
     in_space = all("z_mm" in trial.columns and np.ptp(trial["z_mm"]) > 0 for trial in (record, *trials))

@@ -15,8 +15,9 @@ from needleplan.identification._entry_population import MeanPath, mean_path
 from needleplan.identification._insertion_path import ShapeKind
 from needleplan.identification._shape_choice import shaped_paths
 from needleplan.identification._tip_noise import TipNoise, headings_at, tip_noise
+from needleplan.recording import read_records
 from needleplan.scenario import Scenario
-from needleplan.signals import Array, Record, Role
+from needleplan.signals import Array, Record, Role, records_of
 
 __all__ = ["PathPiece", "ScenarioPart", "scenario_part"]
 
@@ -58,7 +59,7 @@ class ScenarioPart(CallRepr):
 
 
 def scenario_part(
-    records: Sequence[Record], scenario: Scenario, *, layers: int | None = 1, plane: str = "xy", skip_mm: float = 0.0
+    records: object, scenario: Scenario, *, layers: int | None = 1, plane: str = "xy", skip_mm: float = 0.0
 ) -> ScenarioPart:
     """Identify curvature and tip noise from repeated insertions without rotation, and set them in a scenario.
 
@@ -73,7 +74,7 @@ def scenario_part(
     Raises DataError if records or `layers` cannot be used or a layer may be straight otherwise, and ScenarioError if
     the identified values violate a rule of the scenario.
     """
-    used = [record for record in records if record.role is not Role.NOISE]
+    used = [record for record in records_of(records, read_records) if record.role is not Role.NOISE]
     if not used:
         raise DataError(Mistake("role", "", "there is no trial to identify from"))
     insertions = [insertion_of(record, segments=1, plane=plane, skip_mm=skip_mm) for record in used]

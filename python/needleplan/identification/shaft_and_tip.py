@@ -32,12 +32,12 @@ _ONSET_MM, _PRESLIDING_MM = 4.0, 0.1
 _LEAST_SHARE = 0.05
 
 
-def identify(records: Sequence[Record], *, average: int = 1, starts: int = 2) -> Identification:
+def identify(records: object, *, average: int = 1, starts: int = 2) -> Identification:
     """Identify friction of the shaft, cutting force, its onset, and the travel over which friction reverses.
 
     Parameters
     ----------
-    records : sequence of Record
+    records : Record, table of columns such as a DataFrame, path of a data file, or list of these
         Trials with time_s, depth_mm and force_n, and velocity_mm_s if measured; with a retraction, or friction and
         cutting are hardly separable. Trials with the role holdout validate the model; trials of noise give the noise of
         the sensor.

@@ -33,14 +33,12 @@ _FIRST_PER_MM = 1e-3
 _OUTSIDE_PER_MM = 5e-4
 
 
-def identify(
-    records: Sequence[Record], *, fibre: FibreSensors | None = None, boundary_mm: float | None = None
-) -> Identification:
+def identify(records: object, *, fibre: FibreSensors | None = None, boundary_mm: float | None = None) -> Identification:
     """Identify the shape of a needle in one or two layers from the curvatures of its sensors.
 
     Parameters
     ----------
-    records
+    records : Record, table of columns such as a DataFrame, path of a data file, or list of these
         Trials with `depth_mm` and the columns of the sensors, such as `fbg1_y_per_mm`.
     fibre
         Curvature sensors of the needle.

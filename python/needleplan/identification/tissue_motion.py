@@ -67,14 +67,12 @@ class Excitation:
         return cls(frequency, sine_at(frequency, record["time_s"], record["depth_mm"]).amplitude)
 
 
-def identify(
-    records: Sequence[Record], *, average: int = 5, starts: int = 2, marker: str | None = None
-) -> Identification:
+def identify(records: object, *, average: int = 5, starts: int = 2, marker: str | None = None) -> Identification:
     """Identify lag, slow observer, stiffness and damping of the tissue around an oscillating needle.
 
     Parameters
     ----------
-    records
+    records : Record, table of columns such as a DataFrame, path of a data file, or list of these
         Trials with time_s, depth_mm and force_n. The velocity is computed from the depth, without a delay; a column
         velocity_mm_s is only compared with it. Trials with the role holdout validate the model.
     average
